@@ -1,0 +1,1 @@
+//! Tracks in, delays and poses out.

@@ -1,0 +1,1 @@
+//! Reads rig files.

@@ -1,0 +1,1 @@
+//! Threads, channels, supervision; knows every room, contains no mathematics.

@@ -1,0 +1,1 @@
+//! Statcast and TrackMan shaped files.

@@ -1,0 +1,27 @@
+//! The nouns that cross a channel or reach the disk.
+//!
+//! *frame* (an image) → *detection* (pixels to a centre with covariance) → *track* (2-D over time, one
+//! camera) → *flight* (3-D over time) → *pitch* (a flight and its numbers); beside them the *rig* (what a
+//! person knows of the site), the *field* (landmarks by name) and the *calibration*.
+
+mod calibration;
+mod camera;
+mod detection;
+mod field;
+mod frame;
+mod pitch;
+mod rig;
+mod track;
+
+pub use calibration::{
+    Calibration, CalibrationMethod, CameraCalibration, CostStep, Parameter, ParameterKind, WorldFrame,
+};
+pub use camera::{CameraId, CameraIdError};
+pub use detection::Detection;
+pub use field::{FieldPreset, UnknownLandmark};
+pub use frame::{Frame, FrameStamp};
+pub use pitch::{FlightSample, Pitch, PitchQuality, PitchSigma, StatcastRow};
+pub use rig::{
+    CameraSetup, DistanceMeasurement, Landmark, LandmarkPosition, Motion, Rig, RollingShutter, Site,
+};
+pub use track::{Track, TrackPoint};

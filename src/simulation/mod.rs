@@ -1,0 +1,1 @@
+//! Stadium, cameras, pitches, renderer, noise; truth beside every product.

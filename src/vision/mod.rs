@@ -1,0 +1,1 @@
+//! The only room that says `opencv`; no `Mat` leaves it.
