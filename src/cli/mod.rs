@@ -1,1 +1,43 @@
-//! One file a subcommand; no mathematics.
+//! The command line: one file a subcommand; no mathematics.
+
+mod evaluate;
+
+use clap::{Parser, Subcommand};
+
+const AFTER_HELP: &str = "\
+A first look, from a clone of the repository:
+  pitchd replay recordings/bullpen --out /tmp/pitches
+  open /tmp/pitches/report.html
+
+Exit codes: 0 done, 1 failed (or done with losses that were named), 2 wrong usage.";
+
+/// Live multi-camera capture and tracking of baseball pitches from cameras that are not synchronised.
+#[derive(Debug, Parser)]
+#[command(name = "pitchd", version, after_help = AFTER_HELP, arg_required_else_help = true)]
+pub struct Cli {
+    /// More of the log on stderr: -v info, -vv debug. The variable PITCHD_LOG takes a full filter.
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    pub verbose: u8,
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// Every subcommand.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Score results against truth; the estimators' own experiments.
+    Evaluate(evaluate::EvaluateArgs),
+}
+
+impl Cli {
+    /// Runs the subcommand; an error becomes exit code 1.
+    ///
+    /// # Errors
+    /// Whatever stopped the command, in words for a person.
+    pub fn run(&self) -> anyhow::Result<()> {
+        match &self.command {
+            Command::Evaluate(args) => evaluate::run(args),
+        }
+    }
+}
