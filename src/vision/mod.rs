@@ -1,1 +1,12 @@
 //! The only room that says `opencv`; no `Mat` leaves it.
+
+mod essential;
+mod resection;
+
+pub use essential::five_point;
+pub use resection::resection_candidates;
+
+/// OpenCV refused.
+#[derive(Debug, thiserror::Error)]
+#[error("OpenCV: {0}")]
+pub struct VisionError(#[from] opencv::Error);
