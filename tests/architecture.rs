@@ -21,7 +21,15 @@ const ALLOWED: &[(&str, &[&str])] = &[
     (
         "evaluation",
         &[
-            "time", "geometry", "scene", "flight", "calibration", "recording", "simulation", "detection", "tracking",
+            "time",
+            "geometry",
+            "scene",
+            "flight",
+            "calibration",
+            "recording",
+            "simulation",
+            "detection",
+            "tracking",
             "export",
         ],
     ),
@@ -29,21 +37,50 @@ const ALLOWED: &[(&str, &[&str])] = &[
     (
         "daemon",
         &[
-            "time", "geometry", "scene", "vision", "detection", "tracking", "flight", "calibration", "recording",
-            "capture", "simulation", "export", "config",
+            "time",
+            "geometry",
+            "scene",
+            "vision",
+            "detection",
+            "tracking",
+            "flight",
+            "calibration",
+            "recording",
+            "capture",
+            "simulation",
+            "export",
+            "config",
         ],
     ),
     (
         "cli",
         &[
-            "time", "geometry", "scene", "vision", "detection", "tracking", "flight", "calibration", "recording",
-            "capture", "simulation", "export", "evaluation", "config", "daemon",
+            "time",
+            "geometry",
+            "scene",
+            "vision",
+            "detection",
+            "tracking",
+            "flight",
+            "calibration",
+            "recording",
+            "capture",
+            "simulation",
+            "export",
+            "evaluation",
+            "config",
+            "daemon",
         ],
     ),
 ];
 
 /// Crates that only one room may name.
-const GUARDED: &[(&str, &str)] = &[("opencv", "vision"), ("argmin", "calibration"), ("mcap", "recording"), ("clap", "cli")];
+const GUARDED: &[(&str, &str)] = &[
+    ("opencv", "vision"),
+    ("argmin", "calibration"),
+    ("mcap", "recording"),
+    ("clap", "cli"),
+];
 
 fn rust_files(folder: &Path, into: &mut Vec<PathBuf>) {
     for entry in std::fs::read_dir(folder).unwrap() {
@@ -60,17 +97,31 @@ fn rust_files(folder: &Path, into: &mut Vec<PathBuf>) {
 fn code_of(path: &Path) -> String {
     let text = std::fs::read_to_string(path).unwrap();
     let code = text.split("#[cfg(test)]").next().unwrap_or_default();
-    code.lines().map(|l| l.split("//").next().unwrap_or_default()).collect::<Vec<_>>().join("\n")
+    code.lines()
+        .map(|l| l.split("//").next().unwrap_or_default())
+        .collect::<Vec<_>>()
+        .join("\n")
 }
 
 /// Words that follow `prefix`, with the words inside one level of braces.
 fn named_after(code: &str, prefix: &str) -> BTreeSet<String> {
-    let word = |s: &str| -> String { s.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect() };
+    let word = |s: &str| -> String {
+        s.chars()
+            .take_while(|c| c.is_alphanumeric() || *c == '_')
+            .collect()
+    };
     let mut found = BTreeSet::new();
     for (at, _) in code.match_indices(prefix) {
         let rest = &code[at + prefix.len()..];
         if let Some(inside) = rest.strip_prefix('{') {
-            found.extend(inside.split('}').next().unwrap_or_default().split(',').map(|s| word(s.trim())));
+            found.extend(
+                inside
+                    .split('}')
+                    .next()
+                    .unwrap_or_default()
+                    .split(',')
+                    .map(|s| word(s.trim())),
+            );
         } else {
             found.insert(word(rest));
         }
@@ -88,7 +139,9 @@ fn rooms_only_name_the_rooms_below_them() {
     let (mut arrows, mut faults) = (BTreeSet::new(), Vec::new());
     for path in &files {
         let inside = path.strip_prefix(&source).unwrap();
-        let mut parts = inside.components().map(|c| c.as_os_str().to_string_lossy().into_owned());
+        let mut parts = inside
+            .components()
+            .map(|c| c.as_os_str().to_string_lossy().into_owned());
         let room = parts.next().unwrap().trim_end_matches(".rs").to_owned();
         if room == "lib" || room == "main" {
             continue;
@@ -107,13 +160,23 @@ fn rooms_only_name_the_rooms_below_them() {
             }
         }
         for (krate, home) in GUARDED {
-            if room != *home && (code.contains(&format!("{krate}::")) || code.contains(&format!("use {krate}"))) {
-                faults.push(format!("{}: only `{home}` may name the crate `{krate}`", inside.display()));
+            if room != *home
+                && (code.contains(&format!("{krate}::")) || code.contains(&format!("use {krate}")))
+            {
+                faults.push(format!(
+                    "{}: only `{home}` may name the crate `{krate}`",
+                    inside.display()
+                ));
             }
         }
     }
     assert!(faults.is_empty(), "{}", faults.join("\n"));
-    assert!(files.len() >= 40 && arrows.len() >= 20, "saw {} files, {} arrows", files.len(), arrows.len());
+    assert!(
+        files.len() >= 40 && arrows.len() >= 20,
+        "saw {} files, {} arrows",
+        files.len(),
+        arrows.len()
+    );
 }
 
 #[test]
@@ -135,7 +198,10 @@ fn the_map_has_no_circle() {
 fn every_room_stands_in_design_md() {
     let design = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("DESIGN.md")).unwrap();
     for (room, _) in ALLOWED {
-        assert!(design.contains(&format!("`{room}/`")) || design.contains(&format!("`{room}`")), "{room}");
+        assert!(
+            design.contains(&format!("`{room}/`")) || design.contains(&format!("`{room}`")),
+            "{room}"
+        );
     }
 }
 
