@@ -1,5 +1,6 @@
 //! Tracks in, delays and poses out.
 
+pub mod association;
 pub mod error;
 pub mod relative_pose;
 pub mod resection;
