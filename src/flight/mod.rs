@@ -1,10 +1,32 @@
 //! Tracks and the latest calibration in, 3-D flight and pitch numbers out.
+//!
+//! `physics` (forces) → `trajectory` (path and its prior) → `sighting` (a point against a path) →
+//! `equations` (normal equations) → `start`, `solve` (one pitch with a known calibration) → `outcome`;
+//! beside them the views and numbers of a solved flight: `nine_parameter`, `zone`.
 
+pub mod equations;
+mod error;
 mod nine_parameter;
+pub mod outcome;
+pub mod physics;
+pub mod sighting;
+pub mod solve;
+#[cfg(test)]
+mod solve_tests;
+mod start;
+#[cfg(test)]
+pub(crate) mod synthetic;
+pub mod trajectory;
 mod zone;
 
+pub use error::FlightError;
 pub use nine_parameter::{
     FOOT_M, MPH_MPS, Movement, NineParameter, PLATE_FRONT_Y_FT, PLATE_MIDDLE_Y_FT, REFERENCE_Y_FT,
     STATCAST_GRAVITY_FTPS2,
 };
+pub use outcome::{SolvedFlight, TrackFit};
+pub use physics::{Aerodynamics, Physics};
+pub use solve::{FlightOptions, solve_flight};
+pub use start::linear_start;
+pub use trajectory::{FlightPrior, Trajectory};
 pub use zone::{BALL_RADIUS_M, HALF_PLATE_M, StrikeZone};
