@@ -7,7 +7,8 @@ pub mod resection;
 
 pub use error::CalibrationError;
 
-use crate::scene::{CameraId, Track};
+use crate::geometry::Pose;
+use crate::scene::{CameraId, Track, WorldFrame};
 
 /// The tracks of one pitch, of at least one camera; a camera may own several pieces.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,4 +33,17 @@ impl PitchTracks {
             .collect();
         seen.len()
     }
+}
+
+/// One hypothesis of where the cameras are and how late their stamps run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct InitialEstimate {
+    /// Per rig camera; `None`: this camera could not be placed.
+    pub poses: Vec<Option<Pose>>,
+    /// τ per rig camera, seconds; 0 for the reference.
+    pub capture_delay_s: Vec<f64>,
+    /// Coordinates of the poses.
+    pub world: WorldFrame,
+    /// Robust reprojection error of the hypothesis, pixels: ranks hypotheses.
+    pub score_px: f64,
 }
