@@ -1,6 +1,7 @@
 //! The command line: one file a subcommand; no mathematics.
 
 mod evaluate;
+mod simulate;
 
 use clap::{Parser, Subcommand};
 
@@ -28,6 +29,8 @@ pub struct Cli {
 pub enum Command {
     /// Score results against truth; the estimators' own experiments.
     Evaluate(evaluate::EvaluateArgs),
+    /// Make a session from a scenario: stadium, cameras, pitches, noise; truth beside it.
+    Simulate(simulate::SimulateArgs),
 }
 
 impl Cli {
@@ -38,6 +41,7 @@ impl Cli {
     pub fn run(&self) -> anyhow::Result<()> {
         match &self.command {
             Command::Evaluate(args) => evaluate::run(args),
+            Command::Simulate(args) => simulate::run(args),
         }
     }
 }
