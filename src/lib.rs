@@ -21,6 +21,7 @@ pub mod flight;
 pub mod geometry;
 pub mod recording;
 pub mod scene;
+pub mod sighting;
 pub mod simulation;
 pub mod time;
 pub mod tracking;

@@ -1,1 +1,28 @@
 //! A frame in, ball detections out.
+//!
+//! ```text
+//! frame ─► scan (|c − p| per tile, one pass) ─► tiles hit before and after ─► three-frame mask
+//!       ─► blobs ─► detections (centroid)   ... once tracked: refine (swept disc, no bias)
+//! ```
+//!
+//! The scan reads two frames once ([`kernel`]); everything later touches only tiles that changed both
+//! before and after the frame in question, so a ball is free of its own ghosts and the answer comes
+//! `lag_frames` late. Thresholds follow the noise of each region ([`regions`]).
+
+mod blobs;
+mod centroid;
+mod config;
+mod detector;
+mod dispatch;
+mod error;
+mod history;
+mod kernel;
+#[cfg(test)]
+pub(crate) mod painter;
+mod regions;
+mod tiles;
+
+pub use config::{DetectorConfig, PixelRect};
+pub use detector::{Detector, DetectorCounters};
+pub use dispatch::Isa;
+pub use error::DetectionError;

@@ -1,1 +1,18 @@
 //! Detections in, 2-D tracks out, one camera at a time.
+//!
+//! ```text
+//! detections ─► seeds (three in line) ─► hypotheses (predict, gate, branch) ─► ended
+//!            ─► extended back to the hand ─► outliers and ends trimmed ─► kind by shape ─► TrackedBall
+//! ```
+
+mod config;
+mod curve;
+mod ending;
+mod hypothesis;
+mod shape;
+mod tracker;
+
+pub use config::TrackerConfig;
+pub use ending::polish;
+pub use shape::{TrackKind, TrackShape, TrackedBall};
+pub use tracker::{Tracker, TrackerCounters};

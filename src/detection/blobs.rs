@@ -1,0 +1,267 @@
+//! From tiles that changed before and after a frame to connected blobs of pixels.
+//!
+//! Work and memory are bounded: at most [`RUNS_MAX`] runs of pixels a frame, the rest is counted by the caller.
+
+use super::dispatch::Kernels;
+use super::kernel::{self, TILE_HEIGHT_PX, TILE_WIDTH_PX};
+use super::regions::RegionNoise;
+use super::tiles::TileMap;
+
+/// Most runs of changed pixels kept for one frame.
+const RUNS_MAX: usize = 16_384;
+/// Pixels that may be missing between two runs of one blob.
+const GAP_PX: usize = 1;
+
+/// Three images of one size: the one searched and two that show what is behind the ball.
+#[derive(Clone, Copy)]
+pub struct Images<'a> {
+    /// Columns.
+    pub width_px: usize,
+    /// Rows.
+    pub height_px: usize,
+    /// The frame searched.
+    pub current: &'a [u8],
+    /// A reference.
+    pub one: &'a [u8],
+    /// The other reference.
+    pub other: &'a [u8],
+}
+
+impl Images<'_> {
+    /// Signed three-frame change of a pixel: positive where brighter than both references.
+    pub fn change(&self, x: usize, y: usize) -> i32 {
+        let at = y * self.width_px + x;
+        let (Some(c), Some(a), Some(b)) = (self.current.get(at), self.one.get(at), self.other.get(at)) else {
+            return 0;
+        };
+        let size = i32::from(kernel::change(*c, *a, *b));
+        if c >= a.max(b) { size } else { -size }
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Run {
+    y: u32,
+    begin: u32,
+    end: u32,
+    parent: u32,
+}
+
+/// A connected set of changed pixels.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Blob {
+    /// First column.
+    pub left: usize,
+    /// Last column.
+    pub right: usize,
+    /// First row.
+    pub top: usize,
+    /// Last row.
+    pub bottom: usize,
+    /// Pixels.
+    pub area_px: usize,
+    /// Sum of the signed change, levels.
+    pub change_sum: i64,
+    /// Largest size of change, levels.
+    pub peak: i32,
+    /// σ of a frame difference at the blob's first pixel, levels.
+    pub difference_sigma: f32,
+}
+
+/// Finds blobs; keeps its buffers from frame to frame.
+pub struct BlobFinder {
+    columns: Vec<usize>,
+    masks: Vec<[u64; TILE_HEIGHT_PX]>,
+    runs: Vec<Run>,
+    blob_of_root: Vec<u32>,
+    /// The blobs of the last search.
+    pub blobs: Vec<Blob>,
+    /// Whether the last search ran out of runs.
+    pub overflowed: bool,
+}
+
+impl BlobFinder {
+    /// Buffers for an image this wide.
+    pub fn new(width_px: usize) -> Self {
+        let tiles = width_px.div_ceil(TILE_WIDTH_PX);
+        Self {
+            columns: Vec::with_capacity(tiles),
+            masks: Vec::with_capacity(tiles),
+            runs: Vec::with_capacity(RUNS_MAX),
+            blob_of_root: Vec::with_capacity(RUNS_MAX),
+            blobs: Vec::with_capacity(RUNS_MAX),
+            overflowed: false,
+        }
+    }
+
+    /// Finds the blobs within the tiles given.
+    pub fn find(&mut self, kernels: Kernels, images: &Images<'_>, tiles: &TileMap, noise: &RegionNoise) {
+        self.runs.clear();
+        self.blobs.clear();
+        self.overflowed = false;
+        let mut previous_row = 0..0;
+        for band in 0..images.height_px.div_ceil(TILE_HEIGHT_PX) {
+            if !self.mask_band(kernels, images, tiles, band, noise) {
+                continue;
+            }
+            let top = band * TILE_HEIGHT_PX;
+            for row in 0..TILE_HEIGHT_PX.min(images.height_px - top) {
+                let begin = self.runs.len();
+                if !self.take_row_runs((top + row) as u32, row) {
+                    self.overflowed = true;
+                    break;
+                }
+                let this_row = begin..self.runs.len();
+                self.join_rows(previous_row, this_row.clone());
+                previous_row = this_row;
+            }
+        }
+        self.gather(images, noise);
+    }
+
+    fn mask_band(
+        &mut self,
+        kernels: Kernels,
+        images: &Images<'_>,
+        tiles: &TileMap,
+        band: usize,
+        noise: &RegionNoise,
+    ) -> bool {
+        self.columns.clear();
+        self.masks.clear();
+        let top = band * TILE_HEIGHT_PX;
+        for column in tiles.columns(band) {
+            // Pixels count from 60 % of the tile's threshold: one clear pixel admits its dimmer neighbours.
+            let low = (u32::from(noise.tile_threshold(band, column)) * 3 / 5) as u8;
+            let left = column * TILE_WIDTH_PX;
+            let right = (left + TILE_WIDTH_PX).min(images.width_px);
+            let mut masks = [0u64; TILE_HEIGHT_PX];
+            for (row, mask) in masks.iter_mut().enumerate() {
+                let (from, to) = (
+                    (top + row) * images.width_px + left,
+                    (top + row) * images.width_px + right,
+                );
+                if let (Some(c), Some(a), Some(b)) = (
+                    images.current.get(from..to),
+                    images.one.get(from..to),
+                    images.other.get(from..to),
+                ) {
+                    *mask = kernels.change_mask(c, a, b, low);
+                }
+            }
+            if masks.iter().any(|mask| *mask != 0) {
+                self.columns.push(column);
+                self.masks.push(masks);
+            }
+        }
+        !self.columns.is_empty()
+    }
+
+    fn take_row_runs(&mut self, y: u32, row: usize) -> bool {
+        let row_begin = self.runs.len();
+        for (column, masks) in self.columns.iter().zip(&self.masks) {
+            let mut mask = masks.get(row).copied().unwrap_or(0);
+            while mask != 0 {
+                let first = mask.trailing_zeros();
+                let length = (mask >> first).trailing_ones();
+                mask &= !(((1u64 << length) - 1) << first);
+                let begin = (column * TILE_WIDTH_PX) as u32 + first;
+                let end = begin + length;
+                let index = self.runs.len();
+                match self.runs.last_mut() {
+                    Some(last) if index > row_begin && begin <= last.end + GAP_PX as u32 => last.end = end,
+                    _ if index >= RUNS_MAX => return false,
+                    _ => self.runs.push(Run {
+                        y,
+                        begin,
+                        end,
+                        parent: index as u32,
+                    }),
+                }
+            }
+        }
+        true
+    }
+
+    fn root(&mut self, mut index: u32) -> u32 {
+        while let Some(run) = self.runs.get(index as usize).copied() {
+            if run.parent == index {
+                break;
+            }
+            let grand = self
+                .runs
+                .get(run.parent as usize)
+                .map_or(run.parent, |p| p.parent);
+            if let Some(run) = self.runs.get_mut(index as usize) {
+                run.parent = grand;
+            }
+            index = grand;
+        }
+        index
+    }
+
+    fn join_rows(&mut self, above: std::ops::Range<usize>, below: std::ops::Range<usize>) {
+        let (mut a, mut b) = (above.start, below.start);
+        while a < above.end && b < below.end {
+            let (Some(upper), Some(lower)) = (self.runs.get(a).copied(), self.runs.get(b).copied()) else {
+                return;
+            };
+            if upper.y + 1 != lower.y {
+                return;
+            }
+            let gap = GAP_PX as u32;
+            if upper.begin <= lower.end + gap && lower.begin <= upper.end + gap {
+                let (ra, rb) = (self.root(a as u32), self.root(b as u32));
+                if let Some(run) = self.runs.get_mut(ra.max(rb) as usize) {
+                    run.parent = ra.min(rb);
+                }
+            }
+            if upper.end < lower.end {
+                a += 1;
+            } else {
+                b += 1;
+            }
+        }
+    }
+
+    fn gather(&mut self, images: &Images<'_>, noise: &RegionNoise) {
+        self.blob_of_root.clear();
+        self.blob_of_root.resize(self.runs.len(), u32::MAX);
+        for index in 0..self.runs.len() {
+            let root = self.root(index as u32) as usize;
+            let Some(run) = self.runs.get(index).copied() else {
+                continue;
+            };
+            let Some(slot) = self.blob_of_root.get_mut(root) else {
+                continue;
+            };
+            let (y, begin, last) = (run.y as usize, run.begin as usize, run.end as usize - 1);
+            if *slot == u32::MAX {
+                *slot = self.blobs.len() as u32;
+                self.blobs.push(Blob {
+                    left: begin,
+                    right: last,
+                    top: y,
+                    bottom: y,
+                    area_px: 0,
+                    change_sum: 0,
+                    peak: 0,
+                    difference_sigma: noise.difference_sigma(y / TILE_HEIGHT_PX, begin / TILE_WIDTH_PX),
+                });
+            }
+            let Some(blob) = self.blobs.get_mut(*slot as usize) else {
+                continue;
+            };
+            blob.left = blob.left.min(begin);
+            blob.right = blob.right.max(last);
+            blob.top = blob.top.min(y);
+            blob.bottom = blob.bottom.max(y);
+            blob.area_px += last + 1 - begin;
+            for x in begin..=last {
+                let change = images.change(x, y);
+                blob.change_sum += i64::from(change);
+                blob.peak = blob.peak.max(change.abs());
+            }
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! Settings of one camera's detector.
+
+/// A rectangle of pixels: columns `x_px .. x_px + width_px`, rows `y_px .. y_px + height_px`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PixelRect {
+    /// Left column.
+    pub x_px: u32,
+    /// Top row.
+    pub y_px: u32,
+    /// Columns.
+    pub width_px: u32,
+    /// Rows.
+    pub height_px: u32,
+}
+
+impl PixelRect {
+    /// Whether the pixel nearest to (x, y) is inside.
+    pub fn contains(&self, x_px: f64, y_px: f64) -> bool {
+        let left = f64::from(self.x_px) - 0.5;
+        let top = f64::from(self.y_px) - 0.5;
+        (left..left + f64::from(self.width_px)).contains(&x_px)
+            && (top..top + f64::from(self.height_px)).contains(&y_px)
+    }
+}
+
+/// Settings of one camera's detector.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DetectorConfig {
+    /// Exposure time in seconds; without it the blur streak is measured.
+    pub exposure_s: Option<f64>,
+    /// Frames before and after that show the background behind a ball; the answer comes this much later.
+    /// Adapted by [`super::Detector::adapt_lag`] within 1..=`lag_frames_max`.
+    pub lag_frames: usize,
+    /// Largest lag that adaptation may choose.
+    pub lag_frames_max: usize,
+    /// A change is a hit above this many standard deviations of the frame difference.
+    pub threshold_sigmas: f64,
+    /// ... and never below this many grey levels.
+    pub threshold_levels_min: u8,
+    /// Most candidates answered for one frame; the strongest stay, the rest are counted.
+    pub candidates_max: usize,
+    /// Most tiles looked at pixel by pixel in one frame; above it the frame counts as a global change.
+    pub busy_fraction_max: f64,
+    /// Smallest and largest ball radius in pixels.
+    pub radius_px: [f64; 2],
+    /// A break between stamps longer than this starts anew, seconds.
+    pub break_s: f64,
+    /// Only these regions are searched; empty: the whole frame.
+    pub regions: Vec<PixelRect>,
+    /// Never searched.
+    pub masks: Vec<PixelRect>,
+}
+
+impl Default for DetectorConfig {
+    fn default() -> Self {
+        Self {
+            exposure_s: None,
+            lag_frames: 3,
+            lag_frames_max: 8,
+            threshold_sigmas: 5.0,
+            threshold_levels_min: 8,
+            candidates_max: 48,
+            busy_fraction_max: 0.4,
+            radius_px: [1.2, 14.0],
+            break_s: 0.25,
+            regions: Vec::new(),
+            masks: Vec::new(),
+        }
+    }
+}

@@ -1,0 +1,251 @@
+//! One camera's detector: takes frames in time order, answers each a few frames later.
+
+use super::blobs::{BlobFinder, Images};
+use super::centroid::{Moments, moments};
+use super::config::DetectorConfig;
+use super::dispatch::{Isa, Kernels};
+use super::error::DetectionError;
+use super::history::History;
+use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
+use super::regions::{REGION_TILES, RegionNoise};
+use super::tiles::TileMap;
+use crate::geometry::Pixel;
+use crate::scene::{Detection, Frame, FrameStamp};
+
+/// A blob of fewer pixels is noise.
+const AREA_MIN_PX: usize = 4;
+
+/// What the detector has seen and left out.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct DetectorCounters {
+    /// Frames taken.
+    pub frames: u64,
+    /// Windows begun (after a break in the stamps).
+    pub windows: u64,
+    /// Frames not searched because too much of the image changed at once.
+    pub global_changes: u64,
+    /// Candidates left out because a frame had more than `candidates_max`.
+    pub candidates_dropped: u64,
+    /// Frames whose changed pixels did not all fit.
+    pub overflows: u64,
+    /// Frames without two others to compare with.
+    pub unanswered: u64,
+}
+
+/// One camera's detector.
+pub struct Detector {
+    config: DetectorConfig,
+    width_px: usize,
+    height_px: usize,
+    kernels: Kernels,
+    noise: RegionNoise,
+    history: History,
+    lag: usize,
+    next_answer: usize,
+    column_max: Vec<u8>,
+    tiles: TileMap,
+    blobs: BlobFinder,
+    detections: Vec<Detection>,
+    counters: DetectorCounters,
+}
+
+impl Detector {
+    /// A detector for frames of this size, on the widest instruction set there is.
+    pub fn new(config: DetectorConfig, width_px: u32, height_px: u32) -> Self {
+        Self::with_isa(config, width_px, height_px, Isa::detect())
+    }
+
+    /// The same on a chosen instruction set; answers do not depend on it.
+    pub fn with_isa(config: DetectorConfig, width_px: u32, height_px: u32, isa: Isa) -> Self {
+        let (width, height) = (width_px as usize, height_px as usize);
+        let lag_max = config.lag_frames_max.max(config.lag_frames).max(1);
+        Self {
+            width_px: width,
+            height_px: height,
+            kernels: Kernels::new(isa),
+            noise: RegionNoise::new(&config, width, height),
+            history: History::new(3 * lag_max + 2, width, height),
+            lag: config.lag_frames.max(1),
+            next_answer: 0,
+            column_max: vec![0; width],
+            tiles: TileMap::new(width, height),
+            blobs: BlobFinder::new(width),
+            detections: Vec::with_capacity(config.candidates_max + 1),
+            counters: DetectorCounters::default(),
+            config,
+        }
+    }
+
+    /// What was seen and left out so far.
+    pub fn counters(&self) -> DetectorCounters {
+        self.counters
+    }
+
+    /// Frames between a frame and its answer.
+    pub fn lag_frames(&self) -> usize {
+        self.lag
+    }
+
+    /// Takes the next frame; `answer` is called for every frame that is now decided, in order, with its
+    /// candidates (strongest first, possibly none).
+    pub fn detect(
+        &mut self,
+        frame: &Frame,
+        answer: &mut dyn FnMut(FrameStamp, &[Detection]),
+    ) -> Result<(), DetectionError> {
+        self.check_size(frame)?;
+        if let Some(newest) = self.history.newest() {
+            let step = frame
+                .stamp
+                .stamped
+                .seconds_since(newest.frame.stamp.stamped.nanos());
+            if step <= 0.0 || step > self.config.break_s {
+                self.flush(answer);
+            }
+        }
+        if self.history.count() == 0 {
+            self.counters.windows += 1;
+        }
+        self.counters.frames += 1;
+        let changed = self.scan(frame);
+        self.history.push(frame.clone(), changed);
+        let newest = self.history.count() - 1;
+        loop {
+            let needs = if self.next_answer < self.lag {
+                2 * self.lag
+            } else {
+                self.lag
+            };
+            if self.next_answer + needs > newest {
+                break;
+            }
+            self.answer_next(false, answer);
+        }
+        self.history
+            .forget_before(self.next_answer.saturating_sub(2 * self.lag));
+        Ok(())
+    }
+
+    /// Ends the window: decides the frames still open.
+    pub fn flush(&mut self, answer: &mut dyn FnMut(FrameStamp, &[Detection])) {
+        while self.next_answer < self.history.count() {
+            self.answer_next(true, answer);
+        }
+        self.history.restart();
+        self.next_answer = 0;
+    }
+
+    fn check_size(&self, frame: &Frame) -> Result<(), DetectionError> {
+        let bytes = frame.bytes().len();
+        let fits = frame.width_px as usize == self.width_px
+            && frame.height_px as usize == self.height_px
+            && bytes == self.width_px * self.height_px
+            && bytes > 0;
+        if fits {
+            return Ok(());
+        }
+        Err(DetectionError::FrameSize {
+            frame: frame.stamp.frame,
+            width_px: frame.width_px,
+            height_px: frame.height_px,
+            bytes,
+            expected_width_px: self.width_px as u32,
+            expected_height_px: self.height_px as u32,
+        })
+    }
+
+    /// One pass over the frame and the one before: tiles that changed, and the noise of every region.
+    fn scan(&mut self, frame: &Frame) -> Option<TileMap> {
+        let mut changed = self.history.spare_map(self.width_px, self.height_px);
+        let previous = self.history.newest()?.frame.clone();
+        let band_bytes = self.width_px * TILE_HEIGHT_PX;
+        let region_width = TILE_WIDTH_PX * REGION_TILES;
+        let bands = frame
+            .bytes()
+            .chunks(band_bytes)
+            .zip(previous.bytes().chunks(band_bytes));
+        for (band, (current, before)) in bands.enumerate() {
+            self.kernels.band_change(current, before, &mut self.column_max);
+            for (column, most) in self.column_max.chunks(TILE_WIDTH_PX).enumerate() {
+                if self.kernels.largest(most) > self.noise.tile_threshold(band, column) {
+                    changed.set(band, column);
+                }
+            }
+            if (band + self.counters.frames as usize).is_multiple_of(4) {
+                let rows = current.chunks(self.width_px).zip(before.chunks(self.width_px));
+                if let Some((c, p)) = rows.last() {
+                    for (region, (c, p)) in c.chunks(region_width).zip(p.chunks(region_width)).enumerate() {
+                        let sum = self
+                            .kernels
+                            .clipped_change_sum(c, p, self.noise.clip(band, region));
+                        self.noise.learn(band, region, sum as f32 / c.len() as f32);
+                    }
+                }
+            }
+        }
+        Some(changed)
+    }
+
+    fn answer_next(&mut self, ended: bool, answer: &mut dyn FnMut(FrameStamp, &[Detection])) {
+        let index = self.next_answer;
+        self.next_answer += 1;
+        self.detections.clear();
+        let Some(triple) = self.history.triple(index, self.lag, ended) else {
+            self.counters.unanswered += 1;
+            return;
+        };
+        let stamp = triple.current.frame.stamp;
+        self.tiles
+            .set_both(triple.current.changed.as_ref(), triple.changed_after);
+        let bound = self.config.busy_fraction_max * ((self.width_px * self.height_px) as f64)
+            / ((TILE_WIDTH_PX * TILE_HEIGHT_PX) as f64);
+        if self.tiles.count() as f64 > bound.max(16.0) {
+            self.counters.global_changes += 1;
+            answer(stamp, &[]);
+            return;
+        }
+        let images = Images {
+            width_px: self.width_px,
+            height_px: self.height_px,
+            current: triple.current.frame.bytes(),
+            one: triple.one.bytes(),
+            other: triple.other.bytes(),
+        };
+        self.blobs.find(self.kernels, &images, &self.tiles, &self.noise);
+        self.counters.overflows += u64::from(self.blobs.overflowed);
+        for blob in &self.blobs.blobs {
+            let clear =
+                f64::from(blob.peak) > self.config.threshold_sigmas * f64::from(blob.difference_sigma);
+            if !clear || blob.area_px < AREA_MIN_PX {
+                continue;
+            }
+            if let Some(found) = moments(&images, blob).and_then(|m| candidate(&self.config, stamp, &m)) {
+                self.detections.push(found);
+            }
+        }
+        self.detections.sort_by(|a, b| b.strength.total_cmp(&a.strength));
+        let extra = self.detections.len().saturating_sub(self.config.candidates_max);
+        self.counters.candidates_dropped += extra as u64;
+        self.detections.truncate(self.config.candidates_max);
+        answer(stamp, &self.detections);
+    }
+}
+
+fn candidate(config: &DetectorConfig, stamp: FrameStamp, found: &Moments) -> Option<Detection> {
+    let [smallest, largest] = config.radius_px;
+    let streak = found.streak_px.norm();
+    let fits = (smallest * 0.7..=largest).contains(&found.radius_px) && streak <= 5.0 * largest;
+    let (x, y) = (found.centre_px.x, found.centre_px.y);
+    if !fits || config.masks.iter().any(|mask| mask.contains(x, y)) {
+        return None;
+    }
+    Some(Detection {
+        frame: stamp.frame,
+        stamped: stamp.stamped,
+        centre: Pixel::new(x, y),
+        covariance_px2: found.covariance_px2,
+        radius_px: found.radius_px,
+        streak_px: [found.streak_px.x, found.streak_px.y],
+        strength: found.strength,
+    })
+}

@@ -1,0 +1,105 @@
+//! Chooses the instruction set of the pixel loops at run time; the only file of the room with `unsafe`.
+#![allow(unsafe_code)]
+
+use super::kernel;
+
+/// An instruction set the kernels are compiled for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Isa {
+    /// Whatever the target guarantees (SSE2 on x86-64).
+    Portable,
+    /// 32-byte vectors.
+    Avx2,
+    /// 64-byte vectors (F, BW, VL).
+    Avx512,
+}
+
+impl Isa {
+    /// The widest this machine runs.
+    pub fn detect() -> Self {
+        Self::available().last().copied().unwrap_or(Self::Portable)
+    }
+
+    /// All this machine runs, narrowest first.
+    pub fn available() -> &'static [Self] {
+        #[cfg(target_arch = "x86_64")]
+        {
+            if is_x86_feature_detected!("avx512f")
+                && is_x86_feature_detected!("avx512bw")
+                && is_x86_feature_detected!("avx512vl")
+                && is_x86_feature_detected!("avx2")
+                && is_x86_feature_detected!("bmi2")
+            {
+                return &[Self::Portable, Self::Avx2, Self::Avx512];
+            }
+            if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("bmi2") {
+                return &[Self::Portable, Self::Avx2];
+            }
+        }
+        &[Self::Portable]
+    }
+}
+
+/// The kernels of one instruction set. Made only by [`Kernels::new`], which checks that the machine has it.
+#[derive(Debug, Clone, Copy)]
+pub struct Kernels {
+    isa: Isa,
+}
+
+macro_rules! dispatched {
+    ($(#[$doc:meta])* $name:ident ( $($arg:ident : $type:ty),* ) $(-> $result:ty)?) => {
+        impl Kernels {
+            $(#[$doc])*
+            #[inline]
+            pub fn $name(self, $($arg: $type),*) $(-> $result)? {
+                #[cfg(target_arch = "x86_64")]
+                {
+                    #[target_feature(enable = "avx2,bmi2")]
+                    fn avx2($($arg: $type),*) $(-> $result)? {
+                        kernel::$name($($arg),*)
+                    }
+                    #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx2,bmi2")]
+                    fn avx512($($arg: $type),*) $(-> $result)? {
+                        kernel::$name($($arg),*)
+                    }
+                    match self.isa {
+                        Isa::Portable => {}
+                        // SAFETY: `new` keeps an instruction set only when `available` found it on this machine.
+                        Isa::Avx2 => return unsafe { avx2($($arg),*) },
+                        // SAFETY: as above.
+                        Isa::Avx512 => return unsafe { avx512($($arg),*) },
+                    }
+                }
+                kernel::$name($($arg),*)
+            }
+        }
+    };
+}
+
+impl Kernels {
+    /// The kernels of `isa`, or portable ones where this machine lacks it.
+    pub fn new(isa: Isa) -> Self {
+        if Isa::available().contains(&isa) {
+            Self { isa }
+        } else {
+            Self { isa: Isa::Portable }
+        }
+    }
+}
+
+dispatched!(
+    /// See [`kernel::band_change`].
+    band_change(current: &[u8], previous: &[u8], column_max: &mut [u8])
+);
+dispatched!(
+    /// See [`kernel::clipped_change_sum`].
+    clipped_change_sum(current: &[u8], previous: &[u8], clip: u8) -> u32
+);
+dispatched!(
+    /// See [`kernel::largest`].
+    largest(bytes: &[u8]) -> u8
+);
+dispatched!(
+    /// See [`kernel::change_mask`].
+    change_mask(current: &[u8], before: &[u8], after: &[u8], threshold: u8) -> u64
+);

@@ -1,0 +1,129 @@
+//! The noise of each region of the image, and the thresholds that follow from it.
+//!
+//! A region is [`REGION_TILES`] × [`REGION_BANDS`] tiles. Every frame a few rows give the mean of the clipped
+//! |current − previous|; for Gaussian noise that mean is σ_d·√(2/π). Rises are followed at once, falls slowly.
+
+use super::config::{DetectorConfig, PixelRect};
+use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
+
+/// Tile columns of a region.
+pub const REGION_TILES: usize = 4;
+/// Tile rows of a region.
+pub const REGION_BANDS: usize = 8;
+/// √(π/2): from mean |d| to σ_d of a Gaussian.
+const SIGMA_OVER_MEAN: f32 = 1.253_314;
+/// σ_d before anything was measured, levels.
+const SIGMA_START: f32 = 3.0;
+
+/// Noise and thresholds per region, and the tiles that may be looked at.
+#[derive(Debug, Clone)]
+pub struct RegionNoise {
+    columns: usize,
+    sigma: Vec<f32>,
+    threshold: Vec<u8>,
+    searched: Vec<bool>,
+    tile_columns: usize,
+    threshold_sigmas: f32,
+    threshold_min: f32,
+}
+
+impl RegionNoise {
+    /// For an image of this size.
+    pub fn new(config: &DetectorConfig, width_px: usize, height_px: usize) -> Self {
+        let tile_columns = width_px.div_ceil(TILE_WIDTH_PX);
+        let bands = height_px.div_ceil(TILE_HEIGHT_PX);
+        let columns = tile_columns.div_ceil(REGION_TILES);
+        let count = columns * bands.div_ceil(REGION_BANDS);
+        let mut noise = Self {
+            columns,
+            sigma: vec![SIGMA_START; count],
+            threshold: vec![0; count],
+            searched: (0..tile_columns * bands)
+                .map(|tile| tile_searched(config, tile % tile_columns, tile / tile_columns))
+                .collect(),
+            tile_columns,
+            threshold_sigmas: config.threshold_sigmas as f32,
+            threshold_min: f32::from(config.threshold_levels_min),
+        };
+        for index in 0..count {
+            noise.set_threshold(index);
+        }
+        noise
+    }
+
+    fn set_threshold(&mut self, index: usize) {
+        if let (Some(sigma), Some(threshold)) = (self.sigma.get(index), self.threshold.get_mut(index)) {
+            let levels = (self.threshold_sigmas * sigma + 1.0).max(self.threshold_min);
+            *threshold = levels.min(254.0) as u8;
+        }
+    }
+
+    fn index(&self, band: usize, tile_column: usize) -> usize {
+        (band / REGION_BANDS) * self.columns + tile_column / REGION_TILES
+    }
+
+    /// A tile is hit above this many levels; 255 (never) where the tile is not searched.
+    pub fn tile_threshold(&self, band: usize, tile_column: usize) -> u8 {
+        match self.searched.get(band * self.tile_columns + tile_column) {
+            Some(true) => self
+                .threshold
+                .get(self.index(band, tile_column))
+                .copied()
+                .unwrap_or(u8::MAX),
+            _ => u8::MAX,
+        }
+    }
+
+    /// Standard deviation of a frame difference here, levels.
+    pub fn difference_sigma(&self, band: usize, tile_column: usize) -> f32 {
+        self.sigma
+            .get(self.index(band, tile_column))
+            .copied()
+            .unwrap_or(SIGMA_START)
+    }
+
+    /// Clip to apply when summing |d| in this region.
+    pub fn clip(&self, band: usize, region_column: usize) -> u8 {
+        let sigma = self
+            .sigma
+            .get((band / REGION_BANDS) * self.columns + region_column);
+        (4.0 * sigma.copied().unwrap_or(SIGMA_START) + 4.0).min(255.0) as u8
+    }
+
+    /// Takes the mean clipped |d| of one row piece of a region.
+    pub fn learn(&mut self, band: usize, region_column: usize, mean_change: f32) {
+        let index = (band / REGION_BANDS) * self.columns + region_column;
+        if let Some(sigma) = self.sigma.get_mut(index) {
+            let measured = (SIGMA_OVER_MEAN * mean_change).max(0.5);
+            // Learned twice every eighth frame: a rise is there within 0.2 s, a fall within a second.
+            let share = if measured > *sigma { 0.2 } else { 0.05 };
+            *sigma += share * (measured - *sigma);
+        }
+        self.set_threshold(index);
+    }
+}
+
+fn tile_searched(config: &DetectorConfig, tile_column: usize, band: usize) -> bool {
+    let tile = PixelRect {
+        x_px: (tile_column * TILE_WIDTH_PX) as u32,
+        y_px: (band * TILE_HEIGHT_PX) as u32,
+        width_px: TILE_WIDTH_PX as u32,
+        height_px: TILE_HEIGHT_PX as u32,
+    };
+    let wanted = config.regions.is_empty() || config.regions.iter().any(|r| overlaps(r, &tile));
+    wanted && !config.masks.iter().any(|mask| covers(mask, &tile))
+}
+
+fn overlaps(a: &PixelRect, b: &PixelRect) -> bool {
+    a.x_px < b.x_px.saturating_add(b.width_px)
+        && b.x_px < a.x_px.saturating_add(a.width_px)
+        && a.y_px < b.y_px.saturating_add(b.height_px)
+        && b.y_px < a.y_px.saturating_add(a.height_px)
+}
+
+fn covers(outer: &PixelRect, inner: &PixelRect) -> bool {
+    outer.x_px <= inner.x_px
+        && outer.y_px <= inner.y_px
+        && inner.x_px + inner.width_px <= outer.x_px.saturating_add(outer.width_px)
+        && inner.y_px + inner.height_px <= outer.y_px.saturating_add(outer.height_px)
+}

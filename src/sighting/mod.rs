@@ -1,0 +1,79 @@
+//! One camera's eye: frames in, tracks of pitched balls out (detection, then tracking, then a second look).
+
+use crate::detection::{DetectionError, Detector, DetectorConfig, DetectorCounters};
+use crate::scene::{CameraId, Frame, Track};
+use crate::tracking::{TrackKind, TrackedBall, Tracker, TrackerConfig, TrackerCounters};
+
+/// Settings of an eye.
+#[derive(Debug, Clone, Default)]
+pub struct EyeConfig {
+    /// Of its detector.
+    pub detector: DetectorConfig,
+    /// Of its tracker.
+    pub tracker: TrackerConfig,
+}
+
+/// Detector and tracker of one camera.
+pub struct CameraEye {
+    detector: Detector,
+    tracker: Tracker,
+    balls: Vec<TrackedBall>,
+}
+
+impl CameraEye {
+    /// An eye for frames of this size.
+    pub fn new(camera: CameraId, config: EyeConfig, width_px: u32, height_px: u32) -> Self {
+        Self {
+            detector: Detector::new(config.detector, width_px, height_px),
+            tracker: Tracker::new(camera, config.tracker),
+            balls: Vec::new(),
+        }
+    }
+
+    /// Takes the next frame of the camera.
+    pub fn push(&mut self, frame: &Frame) -> Result<(), DetectionError> {
+        let Self {
+            detector, tracker, ..
+        } = self;
+        let result = detector.detect(frame, &mut |stamp, found| tracker.push(stamp, found));
+        self.collect();
+        result
+    }
+
+    /// Ends the recording: what was still open is decided.
+    pub fn finish(&mut self) {
+        let Self {
+            detector, tracker, ..
+        } = self;
+        detector.flush(&mut |stamp, found| tracker.push(stamp, found));
+        let last = self.tracker.finish();
+        self.balls.extend(last);
+    }
+
+    fn collect(&mut self) {
+        let fresh = self.tracker.drain();
+        self.balls.extend(fresh);
+    }
+
+    /// Everything smooth that moved since the last call, with its kind.
+    pub fn drain_balls(&mut self) -> Vec<TrackedBall> {
+        std::mem::take(&mut self.balls)
+    }
+
+    /// The pitches since the last call.
+    pub fn drain_pitches(&mut self) -> Vec<Track> {
+        self.drain_balls()
+            .into_iter()
+            .filter(|ball| ball.kind == TrackKind::Pitch)
+            .map(|ball| ball.track)
+            .collect()
+    }
+
+    /// What was seen and left out.
+    pub fn counters(&self) -> (DetectorCounters, TrackerCounters) {
+        (self.detector.counters(), self.tracker.counters())
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,60 @@
+//! The eye on painted pitches.
+
+use super::*;
+use crate::detection::painter::{Ball, Canvas};
+
+fn flight(frame: f64) -> [f64; 2] {
+    [
+        20.0 + 9.0 * frame - 0.01 * frame * frame,
+        90.0 + 0.6 * frame + 0.012 * frame * frame,
+    ]
+}
+
+fn ball(frame: f64) -> Ball {
+    Ball {
+        centre: flight(frame),
+        streak: [1.6, 0.15],
+        radius: 2.6,
+        light: 190.0,
+        shade: 60.0,
+        to_light: [0.2, -1.0, -0.4],
+    }
+}
+
+#[test]
+fn a_pitch_before_a_walking_player_is_one_track_with_all_points() {
+    let stand = Canvas::stand(640, 240, 3, 40.0);
+    let player = Canvas::stand(60, 150, 9, 60.0);
+    let mut eye = CameraEye::new(CameraId::new("side").unwrap(), EyeConfig::default(), 640, 240);
+    for number in 0..80u64 {
+        let mut canvas = stand.clone();
+        canvas.paste(&player, 280.0 + 1.3 * number as f64, 60.0);
+        if (10..75).contains(&number) {
+            canvas.ball(&ball(number as f64 - 10.0));
+        }
+        eye.push(&canvas.frame(number, 175.0, 2.0)).unwrap();
+    }
+    eye.finish();
+    let balls = eye.drain_balls();
+    for b in &balls {
+        println!(
+            "{:?} {:?} points {} score {:.1} from {:?}",
+            b.kind,
+            b.shape,
+            b.track.points.len(),
+            b.score,
+            b.track.points[0].pixel
+        );
+    }
+    let pitches: Vec<_> = balls.iter().filter(|b| b.kind == TrackKind::Pitch).collect();
+    assert_eq!(pitches.len(), 1);
+    let points = &pitches[0].track.points;
+    let mut worst = 0f64;
+    for point in points {
+        let truth = flight(point.frame as f64 - 10.0);
+        worst = worst.max((point.pixel.x - truth[0]).hypot(point.pixel.y - truth[1]));
+    }
+    println!("points {} worst {worst:.2}", points.len());
+    assert!(points.len() >= 40, "{} of 65 points", points.len());
+    assert!(worst < 1.5, "worst centre error {worst} px");
+}

@@ -1,0 +1,37 @@
+//! Settings of one camera's tracker.
+
+/// Settings of one camera's tracker.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrackerConfig {
+    /// Nominal frame rate, Hz; only the unit of speed and of bridged gaps.
+    pub frame_rate_hz: f64,
+    /// Longest run of missing frames that a track bridges.
+    pub gap_frames_max: u32,
+    /// Fewest points of a track.
+    pub points_min: usize,
+    /// Shortest time from a pitch's first to its last point, seconds.
+    pub span_min_s: f64,
+    /// Smallest and largest speed of a ball in the image, pixels per frame.
+    pub speed_px_per_frame: [f64; 2],
+    /// Slowest mean speed of a pitch across the line of sight, in ball radii per second (1000 is 37 m/s).
+    pub speed_radii_per_s_min: f64,
+    /// Most hypotheses kept alive.
+    pub hypotheses_max: usize,
+    /// A break between stamps longer than this ends every track, seconds.
+    pub break_s: f64,
+}
+
+impl Default for TrackerConfig {
+    fn default() -> Self {
+        Self {
+            frame_rate_hz: 175.0,
+            gap_frames_max: 12,
+            points_min: 12,
+            span_min_s: 0.1,
+            speed_px_per_frame: [0.7, 90.0],
+            speed_radii_per_s_min: 170.0,
+            hypotheses_max: 64,
+            break_s: 0.25,
+        }
+    }
+}

@@ -1,0 +1,295 @@
+//! One camera's tracker: detections of each frame in, finished balls out.
+
+use std::collections::VecDeque;
+
+use super::config::TrackerConfig;
+use super::ending::conclude;
+use super::hypothesis::{Hypothesis, Match, Point, aligned};
+use super::shape::{TrackKind, TrackedBall};
+use crate::scene::{CameraId, Detection, FrameStamp};
+
+/// Frames back in which a seed's two earlier detections are sought.
+const SEED_FRAMES: usize = 4;
+/// Most new hypotheses of one frame.
+const SEEDS_MAX: usize = 48;
+/// Frames whose detections are kept for extending a track back to the hand.
+const HISTORY_FRAMES: usize = 400;
+/// Branches of one hypothesis in one frame.
+const BRANCHES: usize = 2;
+/// A path shorter than this may miss this many frames only.
+const YOUNG: (usize, f64) = (6, 3.0);
+/// Two paths that share more than this are one ball.
+const SHARED_MAX: f64 = 0.3;
+
+/// This many paths side by side are parts of one moving body.
+const COMPANIONS_MIN: usize = 2;
+/// Paths side by side are no further apart than this, pixels, and this share of their speed.
+const BESIDE: (f64, f64) = (250.0, 0.25);
+/// Ended paths remembered to tell what is new.
+const RECENT_MAX: usize = 48;
+
+/// What the tracker left out.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct TrackerCounters {
+    /// Hypotheses given up because there were too many.
+    pub hypotheses_dropped: u64,
+    /// Paths that ended without being a ball.
+    pub rejected: u64,
+}
+
+/// The detections of one frame.
+pub struct FramePoints {
+    /// Time in frames since the window began.
+    pub t: f64,
+    /// Its detections.
+    pub points: Vec<Point>,
+}
+
+/// One camera's tracker.
+pub struct Tracker {
+    camera: CameraId,
+    config: TrackerConfig,
+    epoch: Option<FrameStamp>,
+    history: VecDeque<FramePoints>,
+    alive: Vec<Hypothesis>,
+    recent: Vec<Vec<Point>>,
+    ending: Vec<Vec<Point>>,
+    finished: Vec<TrackedBall>,
+    next_number: u32,
+    counters: TrackerCounters,
+}
+
+impl Tracker {
+    /// A tracker for one camera.
+    pub fn new(camera: CameraId, config: TrackerConfig) -> Self {
+        Self {
+            camera,
+            config,
+            epoch: None,
+            history: VecDeque::with_capacity(HISTORY_FRAMES),
+            alive: Vec::new(),
+            recent: Vec::new(),
+            ending: Vec::new(),
+            finished: Vec::new(),
+            next_number: 1,
+            counters: TrackerCounters::default(),
+        }
+    }
+
+    /// What was left out so far.
+    pub fn counters(&self) -> TrackerCounters {
+        self.counters
+    }
+
+    /// Takes the detections of the next frame.
+    pub fn push(&mut self, stamp: FrameStamp, detections: &[Detection]) {
+        if let (Some(epoch), Some(newest)) = (self.epoch, self.history.back()) {
+            let t = self.frames_since(epoch, stamp);
+            if t <= newest.t || t - newest.t > self.config.break_s * self.config.frame_rate_hz {
+                self.end_window();
+            }
+        }
+        let epoch = *self.epoch.get_or_insert(stamp);
+        let t = self.frames_since(epoch, stamp);
+        let points: Vec<Point> = detections
+            .iter()
+            .enumerate()
+            .map(|(index, detection)| Point {
+                detection: *detection,
+                t,
+                index,
+            })
+            .collect();
+        let taken = self.grow(t, &points);
+        self.seed(&points, &taken);
+        if self.history.len() >= HISTORY_FRAMES {
+            self.history.pop_front();
+        }
+        self.history.push_back(FramePoints { t, points });
+        self.prune(t);
+    }
+
+    /// The balls finished since the last call.
+    pub fn drain(&mut self) -> Vec<TrackedBall> {
+        std::mem::take(&mut self.finished)
+    }
+
+    /// Ends every track and gives what is left.
+    pub fn finish(&mut self) -> Vec<TrackedBall> {
+        self.end_window();
+        self.drain()
+    }
+
+    fn frames_since(&self, epoch: FrameStamp, stamp: FrameStamp) -> f64 {
+        stamp.stamped.seconds_since(epoch.stamped.nanos()) * self.config.frame_rate_hz
+    }
+
+    fn end_window(&mut self) {
+        let mut ended = std::mem::take(&mut self.alive);
+        ended.sort_by(|a, b| b.score.total_cmp(&a.score));
+        self.ending = ended.iter().map(|h| h.points.clone()).collect();
+        for hypothesis in ended {
+            self.end(hypothesis);
+        }
+        self.ending.clear();
+        self.history.clear();
+        self.recent.clear();
+        self.epoch = None;
+    }
+
+    /// Extends the hypotheses; tells which detections a grown path has taken.
+    fn grow(&mut self, t: f64, points: &[Point]) -> Vec<bool> {
+        let mut taken = vec![false; points.len()];
+        let mut branches = Vec::new();
+        for hypothesis in &mut self.alive {
+            let matches = hypothesis.matches(t, points);
+            let grown = hypothesis.points.len() >= YOUNG.0;
+            for Match { index, gain } in matches.iter().skip(1).take(BRANCHES - 1) {
+                if let Some(point) = points.get(*index) {
+                    let mut branch = hypothesis.clone();
+                    branch.extend(*point, *gain);
+                    branches.push(branch);
+                }
+            }
+            match matches.first().and_then(|m| points.get(m.index).map(|p| (m, p))) {
+                Some((best, point)) => {
+                    if let (true, Some(flag)) = (grown, taken.get_mut(best.index)) {
+                        *flag = true;
+                    }
+                    // A second look at the same frame keeps the unextended path too, as a miss.
+                    if best.gain < 0.0 {
+                        let mut missed = hypothesis.clone();
+                        missed.score -= 0.7;
+                        branches.push(missed);
+                    }
+                    hypothesis.extend(*point, best.gain);
+                }
+                None => hypothesis.score -= 0.7,
+            }
+        }
+        self.alive.append(&mut branches);
+        taken
+    }
+
+    /// Starts a hypothesis for every three detections in line that end in this frame.
+    fn seed(&mut self, points: &[Point], taken: &[bool]) {
+        let mut seeds = Vec::new();
+        let back: Vec<&FramePoints> = self.history.iter().rev().take(SEED_FRAMES).collect();
+        for (c, _) in points.iter().zip(taken).filter(|(_, taken)| !**taken) {
+            for (i, middle) in back.iter().enumerate().take(2) {
+                for first in back.iter().skip(i + 1).take(2) {
+                    for b in &middle.points {
+                        for a in &first.points {
+                            if aligned(&self.config, a, b, c) {
+                                seeds.push(Hypothesis::new(vec![*a, *b, *c]));
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        let strength = |h: &Hypothesis| h.points.iter().map(|p| p.detection.strength).sum::<f64>();
+        seeds.sort_by(|a, b| strength(b).total_cmp(&strength(a)));
+        self.counters.hypotheses_dropped += seeds.len().saturating_sub(SEEDS_MAX) as u64;
+        self.alive.extend(seeds.into_iter().take(SEEDS_MAX));
+    }
+
+    fn prune(&mut self, t: f64) {
+        self.alive.sort_by(|a, b| b.score.total_cmp(&a.score));
+        let mut kept: Vec<Hypothesis> = Vec::with_capacity(self.alive.len());
+        let mut ended = Vec::new();
+        for hypothesis in std::mem::take(&mut self.alive) {
+            let missed = t - hypothesis.last_t();
+            let young = hypothesis.points.len() < YOUNG.0;
+            let allowed = if young {
+                YOUNG.1
+            } else {
+                f64::from(self.config.gap_frames_max) + 0.5
+            };
+            if missed > allowed {
+                ended.push(hypothesis);
+            } else if kept.iter().any(|better| better.same_end(&hypothesis)) {
+                continue;
+            } else if kept.len() >= self.config.hypotheses_max {
+                self.counters.hypotheses_dropped += 1;
+            } else {
+                kept.push(hypothesis);
+            }
+        }
+        self.alive = kept;
+        for hypothesis in ended {
+            self.end(hypothesis);
+        }
+    }
+
+    /// Other paths that went beside this one at its velocity.
+    fn companions(&self, points: &[Point]) -> usize {
+        let alive = self.alive.iter().map(|h| h.points.as_slice());
+        let all = alive.chain(self.ending.iter().chain(&self.recent).map(Vec::as_slice));
+        let mut found: Vec<&[Point]> = Vec::new();
+        for other in all.filter(|other| beside(points, other)) {
+            let known = |p: &Point| found.iter().any(|f| f.iter().any(|q| q.same(p)));
+            if !other.iter().any(known) {
+                found.push(other);
+            }
+        }
+        found.len()
+    }
+
+    /// A path has ended: is it a ball nobody has yet?
+    fn end(&mut self, hypothesis: Hypothesis) {
+        if hypothesis.points.len() < self.config.points_min / 2 {
+            return;
+        }
+        let better_alive = self
+            .alive
+            .iter()
+            .any(|h| h.score >= hypothesis.score && hypothesis.shared(&h.points) > SHARED_MAX);
+        if better_alive
+            || self
+                .recent
+                .iter()
+                .any(|points| hypothesis.shared(points) > SHARED_MAX)
+        {
+            return;
+        }
+        let Some(ball) = conclude(&self.config, &self.camera, &hypothesis, &self.history) else {
+            self.counters.rejected += 1;
+            return;
+        };
+        let (points, mut ball) = ball;
+        if ball.kind == TrackKind::Pitch && self.companions(&points) >= COMPANIONS_MIN {
+            ball.kind = TrackKind::Group;
+        }
+        self.recent.push(points);
+        if self.recent.len() > RECENT_MAX {
+            self.recent.remove(0);
+        }
+        ball.track.track = self.next_number;
+        self.next_number += 1;
+        self.finished.push(ball);
+    }
+}
+
+/// Whether two paths of different detections went side by side for most of the shorter one.
+fn beside(a: &[Point], b: &[Point]) -> bool {
+    let (Some(a0), Some(a1), Some(b0), Some(b1)) = (a.first(), a.last(), b.first(), b.last()) else {
+        return false;
+    };
+    let (begin, end) = (a0.t.max(b0.t), a1.t.min(b1.t));
+    let shorter = (a1.t - a0.t).min(b1.t - b0.t);
+    if b.len() < 6
+        || end - begin < 5.0
+        || end - begin < 0.5 * shorter
+        || a.iter().any(|p| b.iter().any(|q| q.same(p)))
+    {
+        return false;
+    }
+    let at = |points: &[Point], t: f64| points.iter().find(|p| p.t >= t - 0.5).map(Point::position);
+    let (Some(pa0), Some(pa1), Some(pb0), Some(pb1)) = (at(a, begin), at(a, end), at(b, begin), at(b, end))
+    else {
+        return false;
+    };
+    let (va, vb) = ((pa1 - pa0) / (end - begin), (pb1 - pb0) / (end - begin));
+    (va - vb).norm() < BESIDE.1 * va.norm().max(vb.norm()) && (pa0 - pb0).norm() < BESIDE.0
+}
