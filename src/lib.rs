@@ -17,11 +17,12 @@ pub mod config;
 pub mod daemon;
 pub mod detection;
 pub mod export;
+pub mod eye;
 pub mod flight;
 pub mod geometry;
 pub mod recording;
 pub mod scene;
-pub mod sighting;
+
 pub mod simulation;
 pub mod time;
 pub mod tracking;

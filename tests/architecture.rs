@@ -11,6 +11,8 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("vision", &["geometry"]),
     ("detection", &["time", "geometry", "scene"]),
     ("tracking", &["time", "geometry", "scene"]),
+    // One camera's chain: the only worker that names two others, because a track is refined by its detector.
+    ("eye", &["time", "geometry", "scene", "detection", "tracking"]),
     ("flight", &["time", "geometry", "scene"]),
     // The calibration solves flights too: it may take the trajectory model from its neighbour, not the reverse.
     ("calibration", &["time", "geometry", "scene", "vision", "flight"]),
@@ -30,6 +32,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "simulation",
             "detection",
             "tracking",
+            "eye",
             "export",
         ],
     ),
@@ -43,6 +46,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "vision",
             "detection",
             "tracking",
+            "eye",
             "flight",
             "calibration",
             "recording",
@@ -61,6 +65,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "vision",
             "detection",
             "tracking",
+            "eye",
             "flight",
             "calibration",
             "recording",

@@ -70,6 +70,7 @@ pub struct Blob {
 
 /// Finds blobs; keeps its buffers from frame to frame.
 pub struct BlobFinder {
+    kernels: Kernels,
     columns: Vec<usize>,
     masks: Vec<[u64; TILE_HEIGHT_PX]>,
     runs: Vec<Run>,
@@ -82,9 +83,10 @@ pub struct BlobFinder {
 
 impl BlobFinder {
     /// Buffers for an image this wide.
-    pub fn new(width_px: usize) -> Self {
+    pub fn new(width_px: usize, kernels: Kernels) -> Self {
         let tiles = width_px.div_ceil(TILE_WIDTH_PX);
         Self {
+            kernels,
             columns: Vec::with_capacity(tiles),
             masks: Vec::with_capacity(tiles),
             runs: Vec::with_capacity(RUNS_MAX),
@@ -95,13 +97,13 @@ impl BlobFinder {
     }
 
     /// Finds the blobs within the tiles given.
-    pub fn find(&mut self, kernels: Kernels, images: &Images<'_>, tiles: &TileMap, noise: &RegionNoise) {
+    pub fn find(&mut self, images: &Images<'_>, tiles: &TileMap, noise: &RegionNoise) {
         self.runs.clear();
         self.blobs.clear();
         self.overflowed = false;
         let mut previous_row = 0..0;
         for band in 0..images.height_px.div_ceil(TILE_HEIGHT_PX) {
-            if !self.mask_band(kernels, images, tiles, band, noise) {
+            if !self.mask_band(images, tiles, band, noise) {
                 continue;
             }
             let top = band * TILE_HEIGHT_PX;
@@ -119,14 +121,7 @@ impl BlobFinder {
         self.gather(images, noise);
     }
 
-    fn mask_band(
-        &mut self,
-        kernels: Kernels,
-        images: &Images<'_>,
-        tiles: &TileMap,
-        band: usize,
-        noise: &RegionNoise,
-    ) -> bool {
+    fn mask_band(&mut self, images: &Images<'_>, tiles: &TileMap, band: usize, noise: &RegionNoise) -> bool {
         self.columns.clear();
         self.masks.clear();
         let top = band * TILE_HEIGHT_PX;
@@ -146,7 +141,7 @@ impl BlobFinder {
                     images.one.get(from..to),
                     images.other.get(from..to),
                 ) {
-                    *mask = kernels.change_mask(c, a, b, low);
+                    *mask = self.kernels.change_mask(c, a, b, low);
                 }
             }
             if masks.iter().any(|mask| *mask != 0) {

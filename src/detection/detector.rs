@@ -69,7 +69,7 @@ impl Detector {
             next_answer: 0,
             column_max: vec![0; width],
             tiles: TileMap::new(width, height),
-            blobs: BlobFinder::new(width),
+            blobs: BlobFinder::new(width, Kernels::new(isa)),
             detections: Vec::with_capacity(config.candidates_max + 1),
             counters: DetectorCounters::default(),
             config,
@@ -172,8 +172,8 @@ impl Detector {
                 }
             }
             if (band + self.counters.frames as usize).is_multiple_of(4) {
-                let rows = current.chunks(self.width_px).zip(before.chunks(self.width_px));
-                if let Some((c, p)) = rows.last() {
+                let mut rows = current.chunks(self.width_px).zip(before.chunks(self.width_px));
+                if let Some((c, p)) = rows.next_back() {
                     for (region, (c, p)) in c.chunks(region_width).zip(p.chunks(region_width)).enumerate() {
                         let sum = self
                             .kernels
@@ -211,7 +211,7 @@ impl Detector {
             one: triple.one.bytes(),
             other: triple.other.bytes(),
         };
-        self.blobs.find(self.kernels, &images, &self.tiles, &self.noise);
+        self.blobs.find(&images, &self.tiles, &self.noise);
         self.counters.overflows += u64::from(self.blobs.overflowed);
         for blob in &self.blobs.blobs {
             let clear =
