@@ -1,5 +1,7 @@
 //! Holds the map of rooms: who may name whom (DESIGN.md, "Rooms").
 
+#![allow(clippy::unwrap_used, reason = "a test may")]
+
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 

@@ -1,5 +1,7 @@
 //! One hand-computed number for every sign, axis, pixel origin and delay direction.
 
+#![allow(clippy::unwrap_used, reason = "a test may")]
+
 use nalgebra::{Point3, Vector3};
 use pitchd::flight::{NineParameter, PLATE_FRONT_Y_FT, PLATE_MIDDLE_Y_FT};
 use pitchd::geometry::{Intrinsics, Pixel, Pose, triangulate_refined};

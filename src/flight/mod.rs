@@ -1,14 +1,16 @@
 //! Tracks and the latest calibration in, 3-D flight and pitch numbers out.
 //!
 //! `physics` (forces) → `trajectory` (path and its prior) → `sighting` (a point against a path) →
-//! `equations` (normal equations) → `start`, `solve` (one pitch with a known calibration) → `outcome`;
-//! beside them the views and numbers of a solved flight: `nine_parameter`, `zone`.
+//! `equations` (normal equations) → `start`, `solve` (one pitch with a known calibration) → `outcome`
+//! → `pitch`; beside them the numbers and views of a solved flight: `numbers`, `nine_parameter`, `zone`.
 
 pub mod equations;
 mod error;
 mod nine_parameter;
+mod numbers;
 pub mod outcome;
 pub mod physics;
+pub mod pitch;
 pub mod sighting;
 pub mod solve;
 #[cfg(test)]
@@ -24,8 +26,13 @@ pub use nine_parameter::{
     FOOT_M, MPH_MPS, Movement, NineParameter, PLATE_FRONT_Y_FT, PLATE_MIDDLE_Y_FT, REFERENCE_Y_FT,
     STATCAST_GRAVITY_FTPS2,
 };
+pub use numbers::{
+    NineParameterView, NumbersError, PLATE_FRONT_Y_M, PLATE_MIDDLE_Y_M, PlaneState, RELEASE_Y_M,
+    nine_parameter_view, position_sigma_m, state_at_plane,
+};
 pub use outcome::{SolvedFlight, TrackFit};
 pub use physics::{Aerodynamics, Physics};
+pub use pitch::{PitchOptions, pitch_from_flight};
 pub use solve::{FlightOptions, solve_flight};
 pub use start::linear_start;
 pub use trajectory::{FlightPrior, Trajectory};
