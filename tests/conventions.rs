@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use pitchd::flight::{NineParameter, PLATE_FRONT_Y_FT, PLATE_MIDDLE_Y_FT};
 use pitchd::geometry::{Intrinsics, Pixel, Pose, triangulate_refined};
 use pitchd::scene::FieldPreset;
-use pitchd::time::{CameraTiming, StampedMidpoint};
+use pitchd::time::{ArrivalTime, CameraTiming, ClockModel, ClockModelOptions, DeviceTime, StampedMidpoint};
 
 const PLAIN: Intrinsics = Intrinsics {
     fx_px: 1000.0,
@@ -113,6 +113,27 @@ fn a_positive_delay_means_the_stamp_is_late() {
         9.9999999,
         1e-9,
     );
+}
+
+#[test]
+fn a_stamp_is_the_device_s_begin_of_exposure_on_the_host_s_clock_plus_half_the_exposure() {
+    // The device counts 5 s when the host counts 100 s and runs 100 ppm fast: after 20 host seconds it has counted
+    // 20.002 s. The frame begun then, exposed for 1 ms, is stamped 120.0005 s (not 120.0025, not 119.9995).
+    let mut clock = ClockModel::new(ClockModelOptions::default());
+    let mut last = None;
+    for frame in 0..=2000_i64 {
+        let host_ns = 100_000_000_000 + frame * 10_000_000;
+        let device_ns = 5_000_000_000 + frame * 10_001_000;
+        let (device, arrival) = (
+            DeviceTime::from_nanos(device_ns),
+            ArrivalTime::from_nanos(host_ns),
+        );
+        last = Some(clock.push(device, arrival, 0.001));
+    }
+    let stamp = last.unwrap().stamped;
+    close(stamp.seconds_since(120_000_000_000), 0.0005, 2e-6);
+    // Positive: this camera's clock runs fast.
+    close(clock.skew_ppm().unwrap().0, 100.0, 1.0);
 }
 
 #[test]

@@ -9,6 +9,10 @@
 //! The constant is the *capture delay* τ: **true = stamped − τ** [Kim19 eq. 2 and 4], τ = 0 for the
 //! reference camera. τ > 0 means the frame stamped `t` shows the ball where it was at `t − τ`.
 
+mod clock_model;
+
+pub use clock_model::{ClockEvent, ClockModel, ClockModelOptions, ClockReading};
+
 use serde::{Deserialize, Serialize};
 
 /// Nanoseconds in a second.
