@@ -1,7 +1,9 @@
 //! Tracks in, delays and poses out.
 
 pub mod association;
+pub mod curves;
 pub mod error;
+pub mod path;
 pub mod relative_pose;
 pub mod resection;
 

@@ -8,10 +8,12 @@ mod alignment;
 mod epipolar;
 mod lens;
 mod pose;
+mod spline;
 mod triangulation;
 
 pub use alignment::{Similarity, align_similarity};
 pub use epipolar::{cheirality, decompose_essential, essential_matrix, sampson_px};
 pub use lens::{Intrinsics, LensError, Normalized, Pixel, PixelJacobian};
 pub use pose::{Pose, rotation_from_vector, skew};
+pub use spline::{PlaneSpline, SplineShape};
 pub use triangulation::{TriangulationError, triangulate_dlt, triangulate_refined};
