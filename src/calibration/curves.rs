@@ -4,7 +4,7 @@
 use nalgebra::Vector2;
 
 use super::{CalibrationError, PitchTracks};
-use crate::geometry::{Intrinsics, Normalized, PlaneSpline, SplineShape};
+use crate::geometry::{Normalized, PlaneSpline, SplineShape};
 use crate::scene::{CameraSetup, Rig};
 
 /// Fewest points of a curve.
@@ -25,6 +25,8 @@ pub struct ImageCurve {
     pub noise_px: f64,
     /// The reduced samples that stand for the points.
     pub samples: Vec<(f64, Normalized)>,
+    /// 1σ of a coordinate of a sample, pixels.
+    pub sample_sigma_px: f64,
 }
 
 impl ImageCurve {
@@ -133,6 +135,7 @@ fn image_curve(
         points: kept.len(),
         noise_px,
         samples: Vec::new(),
+        sample_sigma_px: (noise_px * (11.0 / kept.len() as f64).sqrt().min(1.0)).hypot(0.05),
     };
     let last = (samples.max(2) - 1) as f64;
     curve.samples = (0..samples.max(2))
@@ -204,9 +207,4 @@ fn median(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     sorted.get(sorted.len() / 2).copied().unwrap_or(0.0)
-}
-
-/// Mean focal length of a lens, pixels.
-pub(crate) fn focal_px(lens: &Intrinsics) -> f64 {
-    0.5 * (lens.fx_px + lens.fy_px)
 }

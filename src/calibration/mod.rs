@@ -2,8 +2,11 @@
 
 pub mod association;
 pub mod curves;
+mod delay_search;
 pub mod error;
+pub mod initial;
 pub mod path;
+mod polish;
 pub mod relative_pose;
 pub mod resection;
 
@@ -42,10 +45,16 @@ impl PitchTracks {
 pub struct InitialEstimate {
     /// Per rig camera; `None`: this camera could not be placed.
     pub poses: Vec<Option<Pose>>,
-    /// τ per rig camera, seconds; 0 for the reference.
+    /// τ per rig camera, seconds, at `skew_epoch_ns`; 0 for the reference.
     pub capture_delay_s: Vec<f64>,
+    /// Clock skew per rig camera, ppm; 0 for the reference, and where the session is too short to tell.
+    pub clock_skew_ppm: Vec<f64>,
+    /// Stamp (of the camera itself) at which its τ is stated, nanoseconds.
+    pub skew_epoch_ns: Vec<i64>,
     /// Coordinates of the poses.
     pub world: WorldFrame,
     /// Robust reprojection error of the hypothesis, pixels: ranks hypotheses.
     pub score_px: f64,
+    /// What a person must know: landmarks left out by name, cameras that could not be placed, what fixed the scale.
+    pub notes: Vec<String>,
 }

@@ -139,6 +139,13 @@ impl Path {
         self.coefficients.column(2) * (2.0 / self.half_s.powi(2))
     }
 
+    /// Residuals of the prior (acceleration, jerk), sigmas.
+    pub fn prior_residuals(&self, prior: &PathPrior) -> [f64; 6] {
+        let a = (self.acceleration() - prior.acceleration).component_div(&prior.acceleration_sigma);
+        let j = self.coefficients.column(3) * (6.0 / self.half_s.powi(3) / prior.jerk_sigma);
+        [a.x, a.y, a.z, j[0], j[1], j[2]]
+    }
+
     /// Middle of the rays' time.
     pub fn middle_s(&self) -> f64 {
         self.middle_s
