@@ -16,6 +16,7 @@ pub mod cli;
 pub mod config;
 pub mod daemon;
 pub mod detection;
+pub mod evaluation;
 pub mod export;
 pub mod eye;
 pub mod flight;

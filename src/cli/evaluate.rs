@@ -1,16 +1,35 @@
 //! `pitchd evaluate`: scores against truth, and the estimators' own experiments.
 
+use std::path::PathBuf;
+
 use clap::{Args, Subcommand};
+
+use crate::evaluation::score_pitches;
+use crate::export::results;
+
+const AFTER_HELP: &str = "\
+Examples:
+  pitchd simulate config/scenario/three.toml --out /tmp/three
+  pitchd solve /tmp/three/tracks --rig /tmp/three/rig.toml --out /tmp/three/result
+  pitchd evaluate /tmp/three/result /tmp/three/truth";
 
 /// Arguments of `pitchd evaluate`.
 #[derive(Debug, Args)]
+#[command(after_help = AFTER_HELP, args_conflicts_with_subcommands = true, arg_required_else_help = true)]
 pub struct EvaluateArgs {
-    /// Which score.
+    /// Results folder of `replay` or `solve`.
+    pub result: Option<PathBuf>,
+    /// truth.json, or the folder that holds it.
+    pub truth: Option<PathBuf>,
+    /// Print the score as JSON.
+    #[arg(long)]
+    pub json: bool,
+    /// Another score.
     #[command(subcommand)]
-    pub score: Score,
+    pub score: Option<Score>,
 }
 
-/// Every score; one file each.
+/// Every other score; one file each.
 #[derive(Debug, Subcommand)]
 pub enum Score {}
 
@@ -19,5 +38,17 @@ pub enum Score {}
 /// # Errors
 /// Unreadable results or truth.
 pub fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
-    match args.score {}
+    if let Some(score) = &args.score {
+        match *score {}
+    }
+    let (Some(result), Some(truth)) = (&args.result, &args.truth) else {
+        anyhow::bail!("evaluate needs a results folder and its truth: pitchd evaluate RESULT TRUTH");
+    };
+    let score = score_pitches(&results::read(result)?, truth)?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&score)?);
+    } else {
+        print!("{score}");
+    }
+    Ok(())
 }

@@ -11,6 +11,7 @@ mod numbers;
 pub mod outcome;
 pub mod physics;
 pub mod pitch;
+mod residuals;
 pub mod sighting;
 pub mod solve;
 #[cfg(test)]
@@ -33,6 +34,7 @@ pub use numbers::{
 pub use outcome::{SolvedFlight, TrackFit};
 pub use physics::{Aerodynamics, Physics};
 pub use pitch::{PitchOptions, pitch_from_flight};
+pub use residuals::{PointResidual, residuals};
 pub use solve::{FlightOptions, solve_flight};
 pub use start::linear_start;
 pub use trajectory::{FlightPrior, Trajectory};

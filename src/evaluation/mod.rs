@@ -1,0 +1,5 @@
+//! Results beside the truth: scores that say how good, over how much.
+
+mod pitches;
+
+pub use pitches::{AxisScore, DelayScore, PitchScore, PitchScoreError, score_pitches};
