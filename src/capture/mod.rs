@@ -1,1 +1,38 @@
-//! Where frames come from: one trait.
+//! Where frames come from: one trait; a recording, a folder of images, a video file.
+//!
+//! A source is an iterator over the frames of one camera by rising stamps. Everything after it is the same
+//! code, live or not.
+
+mod error;
+mod image_folder;
+mod recording;
+mod stamps;
+mod video;
+
+pub use error::CaptureError;
+pub use image_folder::ImageFolder;
+pub use recording::RecordingSource;
+pub use stamps::Stamping;
+pub use video::VideoFile;
+
+use crate::scene::{CameraId, Frame};
+
+/// Size of a source's frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FrameGeometry {
+    /// Columns.
+    pub width_px: u32,
+    /// Rows.
+    pub height_px: u32,
+}
+
+/// The frames of one camera. An error ends neither the source nor the program: the next frame may be good;
+/// `None` is the end.
+pub trait FrameSource: Iterator<Item = Result<Frame, CaptureError>> + Send {
+    /// Whose frames.
+    fn camera(&self) -> &CameraId;
+    /// Size of every frame.
+    fn geometry(&self) -> FrameGeometry;
+    /// How many frames there will be, where that is known.
+    fn frames_expected(&self) -> Option<u64>;
+}

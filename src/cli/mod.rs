@@ -1,6 +1,7 @@
 //! The command line: one file a subcommand; no mathematics.
 
 mod evaluate;
+mod import;
 mod simulate;
 
 use clap::{Parser, Subcommand};
@@ -29,6 +30,8 @@ pub struct Cli {
 pub enum Command {
     /// Score results against truth; the estimators' own experiments.
     Evaluate(evaluate::EvaluateArgs),
+    /// Build a session from folders of images or from video files.
+    Import(import::ImportArgs),
     /// Make a session from a scenario: stadium, cameras, pitches, noise; truth beside it.
     Simulate(simulate::SimulateArgs),
 }
@@ -41,6 +44,7 @@ impl Cli {
     pub fn run(&self) -> anyhow::Result<()> {
         match &self.command {
             Command::Evaluate(args) => evaluate::run(args),
+            Command::Import(args) => import::run(args),
             Command::Simulate(args) => simulate::run(args),
         }
     }

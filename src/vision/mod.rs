@@ -1,6 +1,7 @@
 //! The only room that says `opencv`; no `Mat` leaves it.
 
 mod essential;
+pub mod image_files;
 mod resection;
 
 pub use essential::five_point;

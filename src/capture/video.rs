@@ -1,0 +1,132 @@
+//! A video file as a source.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use super::image_folder::imported;
+use super::stamps::{FrameStamps, LIST_NAME, Stamping};
+use super::{CaptureError, FrameGeometry, FrameSource};
+use crate::scene::{CameraId, Frame};
+use crate::vision::image_files::VideoReader;
+
+/// Frames of one video file, counted from 0. Its stamps: `<name>.timestamps.csv` beside it, else
+/// `timestamps.csv` beside it (row by row, whatever number its first frame has), else the given rate. The rate
+/// in the file itself is not believed: containers round it and phones vary it.
+pub struct VideoFile {
+    camera: CameraId,
+    file: PathBuf,
+    geometry: FrameGeometry,
+    reader: VideoReader,
+    stamps: FrameStamps,
+    listed: Vec<u64>,
+    next: u64,
+    broken: bool,
+}
+
+impl VideoFile {
+    /// Opens the file and checks its size.
+    ///
+    /// # Errors
+    /// [`CaptureError::Image`], [`CaptureError::FrameSize`], [`CaptureError::Timestamps`].
+    pub fn open(
+        camera: &CameraId,
+        file: &Path,
+        geometry: FrameGeometry,
+        stamping: Stamping,
+    ) -> Result<Self, CaptureError> {
+        let lists = [
+            file.with_extension("timestamps.csv"),
+            file.with_file_name(LIST_NAME),
+        ];
+        let stamps = FrameStamps::find(camera, &lists, stamping)?;
+        let reader = VideoReader::open(file).map_err(|source| CaptureError::Image {
+            camera: camera.clone(),
+            source,
+        })?;
+        let (width_px, height_px) = reader.size_px();
+        let got = FrameGeometry { width_px, height_px };
+        if got != geometry {
+            return Err(CaptureError::FrameSize {
+                camera: camera.clone(),
+                file: file.to_owned(),
+                got,
+                expected: geometry,
+            });
+        }
+        let listed = match &stamps {
+            FrameStamps::Listed { by_frame, .. } => by_frame.keys().copied().collect(),
+            FrameStamps::RateHz(_) => Vec::new(),
+        };
+        Ok(Self {
+            camera: camera.clone(),
+            file: file.to_owned(),
+            geometry,
+            reader,
+            stamps,
+            listed,
+            next: 0,
+            broken: false,
+        })
+    }
+
+    fn stamp(&self, index: u64) -> Result<crate::scene::FrameStamp, CaptureError> {
+        let frame = match &self.stamps {
+            FrameStamps::RateHz(_) => Some(index),
+            FrameStamps::Listed { .. } => usize::try_from(index)
+                .ok()
+                .and_then(|i| self.listed.get(i).copied()),
+        };
+        frame
+            .and_then(|frame| Some(imported(frame, self.stamps.of(frame)?)))
+            .ok_or_else(|| CaptureError::NoTimestamp {
+                camera: self.camera.clone(),
+                frame: index,
+                file: self.file.clone(),
+                list: match &self.stamps {
+                    FrameStamps::Listed { list, .. } => list.clone(),
+                    FrameStamps::RateHz(_) => PathBuf::from("--fps"),
+                },
+            })
+    }
+}
+
+impl Iterator for VideoFile {
+    type Item = Result<Frame, CaptureError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.broken {
+            return None;
+        }
+        let image = match self.reader.next_mono8() {
+            Ok(Some(image)) => image,
+            Ok(None) => return None,
+            Err(source) => {
+                self.broken = true;
+                return Some(Err(CaptureError::Image {
+                    camera: self.camera.clone(),
+                    source,
+                }));
+            }
+        };
+        let index = self.next;
+        self.next += 1;
+        Some(self.stamp(index).map(|stamp| Frame {
+            stamp,
+            width_px: image.width_px,
+            height_px: image.height_px,
+            pixels: Arc::new(image.pixels),
+        }))
+    }
+}
+
+impl FrameSource for VideoFile {
+    fn camera(&self) -> &CameraId {
+        &self.camera
+    }
+    fn geometry(&self) -> FrameGeometry {
+        self.geometry
+    }
+    fn frames_expected(&self) -> Option<u64> {
+        self.reader.frames_expected()
+    }
+}

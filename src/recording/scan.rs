@@ -1,0 +1,468 @@
+//! Walks one camera file record by record and gives every whole frame, however damaged the rest is.
+//!
+//! Why not the `mcap` crate's reader: it stops at the first error. The files are written uncompressed, so a
+//! chunk is only a 49-byte header before its records; this scanner steps over the header, never trusts the
+//! chunk's length to skip by, and after a broken record searches for the next chunk header or frame info.
+
+use std::fs::File;
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use mcap::records::op;
+
+use super::cursor::Cursor;
+use super::damage::{Damage, LostFrames};
+use super::frame_info::{FrameFlags, FrameInfo, INFO_BYTES_MAX, RecordedFrame};
+use super::layout::{IMAGE_CHANNEL, INFO_CHANNEL};
+use super::payload::decode_image;
+use super::summary::{FileSummary, Trailer, read_trailer, small_record_damage};
+use crate::scene::CameraId;
+
+/// Opcode and length before every record.
+pub const RECORD_HEADER_BYTES: u64 = 9;
+/// Channel, sequence and two times before a message's data.
+const MESSAGE_HEADER_BYTES: u64 = 22;
+/// Fields of a chunk before its records, without compression's name.
+const CHUNK_HEADER_BYTES: u64 = 40;
+/// Longest record that is neither chunk nor message.
+pub const SMALL_RECORD_BYTES_MAX: u64 = 64 << 20;
+/// Window of the search for the next good record.
+const SEARCH_BYTES: usize = 1 << 20;
+/// What a search needs to see behind a place to judge it.
+const SEARCH_AHEAD: usize = (RECORD_HEADER_BYTES + MESSAGE_HEADER_BYTES + INFO_BYTES_MAX) as usize;
+/// Reasons told one by one before "and n more".
+const REASONS_MAX: usize = 3;
+
+struct OpenChunk {
+    end: u64,
+    crc: u32,
+    hasher: crc32fast::Hasher,
+    /// False after something in it was found broken: then its checksum says nothing new.
+    whole: bool,
+}
+
+/// One file being read.
+pub struct Scanner {
+    path: PathBuf,
+    camera: CameraId,
+    reader: BufReader<File>,
+    position: u64,
+    length: u64,
+    /// Where the records end: before the data-end record of a good file, else the end of the file.
+    end: u64,
+    summary: Option<FileSummary>,
+    chunk: Option<OpenChunk>,
+    pending: Option<FrameInfo>,
+    /// The next image's info was told to be broken or foreign: the image is no news.
+    image_told: bool,
+    indices_seen: u64,
+    frames_read: u64,
+    bytes_lost: u64,
+    reasons: Vec<String>,
+    reasons_untold: usize,
+    foreign: u64,
+    done: bool,
+}
+
+enum Step {
+    Frame(Box<RecordedFrame>),
+    Nothing,
+    End,
+}
+
+impl Scanner {
+    /// Opens a camera's file. `finished`: it has its final name and so must be whole.
+    pub fn open(path: &Path, camera: &CameraId, finished: bool) -> std::io::Result<Self> {
+        let mut file = File::open(path)?;
+        let length = file.metadata()?.len();
+        let mut magic = [0; 8];
+        let magic_read = file.read(&mut magic)?;
+        let trailer = read_trailer(&mut file, length)?;
+        file.seek(SeekFrom::Start(magic_read as u64))?;
+        let mut scanner = Self {
+            path: path.to_owned(),
+            camera: camera.clone(),
+            reader: BufReader::with_capacity(64 << 10, file),
+            position: magic_read as u64,
+            length,
+            end: length,
+            summary: None,
+            chunk: None,
+            pending: None,
+            image_told: false,
+            indices_seen: 0,
+            frames_read: 0,
+            bytes_lost: 0,
+            reasons: Vec::new(),
+            reasons_untold: 0,
+            foreign: 0,
+            done: false,
+        };
+        if magic.get(..magic_read) != Some(mcap::MAGIC) {
+            scanner.tell("does not begin as an MCAP file".to_owned());
+        }
+        match trailer {
+            Trailer::Whole(summary) => {
+                scanner.end = summary.data_end;
+                if !finished {
+                    scanner.tell("is whole but was not given its final name".to_owned());
+                }
+                scanner.summary = Some(summary);
+            }
+            Trailer::Missing if finished => scanner.tell("its end is missing".to_owned()),
+            Trailer::Missing => scanner.tell("was not finished, its writer was stopped".to_owned()),
+            Trailer::Damaged(what) => scanner.tell(what),
+        }
+        Ok(scanner)
+    }
+
+    /// The next whole frame, or `None` at the end of the file.
+    pub fn next_frame(&mut self) -> Option<RecordedFrame> {
+        while !self.done {
+            match self.step() {
+                Ok(Step::Frame(frame)) => return Some(*frame),
+                Ok(Step::Nothing) => {}
+                Ok(Step::End) => self.done = true,
+                Err(error) => {
+                    self.tell(format!("cannot be read at byte {}: {error}", self.position));
+                    self.bytes_lost += self.end.saturating_sub(self.position);
+                    self.done = true;
+                }
+            }
+        }
+        None
+    }
+
+    /// The statistics at the end of the file, where it has any.
+    pub fn summary(&self) -> Option<&FileSummary> {
+        self.summary.as_ref()
+    }
+
+    /// What was lost so far; complete once [`Scanner::next_frame`] has given `None`. `expected`: frames the
+    /// session file says are in here.
+    pub fn damage(&self, expected: Option<u64>) -> Option<Damage> {
+        if self.reasons.is_empty() {
+            return None;
+        }
+        let mut reason = self.reasons.join("; ");
+        if self.reasons_untold > 0 {
+            reason += &format!("; and {} more", self.reasons_untold);
+        }
+        let expected = expected.or(self.summary.as_ref().and_then(|s| s.frames(INFO_CHANNEL)));
+        let frames_lost = match expected {
+            Some(expected) => LostFrames::Exactly(expected.saturating_sub(self.frames_read)),
+            None => LostFrames::AtLeast(self.indices_seen.saturating_sub(self.frames_read)),
+        };
+        Some(Damage {
+            file: self.path.clone(),
+            camera: Some(self.camera.clone()),
+            frames_read: self.frames_read,
+            frames_lost,
+            bytes_lost: self.bytes_lost,
+            reason,
+        })
+    }
+
+    /// Notes something wrong.
+    pub fn tell(&mut self, reason: String) {
+        if self.reasons.len() < REASONS_MAX {
+            self.reasons.push(reason);
+        } else {
+            self.reasons_untold += 1;
+        }
+    }
+
+    /// A frame this scanner gave was not accepted (it goes back in time).
+    pub fn reject(&mut self, reason: String) {
+        self.frames_read = self.frames_read.saturating_sub(1);
+        self.tell(reason);
+    }
+
+    fn step(&mut self) -> std::io::Result<Step> {
+        if self
+            .chunk
+            .as_ref()
+            .is_some_and(|chunk| self.position >= chunk.end)
+        {
+            self.close_chunk();
+        }
+        if self.position >= self.end {
+            return Ok(self.at_end());
+        }
+        let start = self.position;
+        let Some(header) = self.read_vec(RECORD_HEADER_BYTES)? else {
+            return self.broken(start);
+        };
+        let mut cursor = Cursor::new(&header);
+        let opcode = cursor.bytes(1).and_then(|b| b.first().copied()).unwrap_or(0);
+        let length = cursor.u64().unwrap_or(0);
+        let limit = self
+            .chunk
+            .as_ref()
+            .map_or(self.end, |chunk| chunk.end.min(self.end));
+        match opcode {
+            op::CHUNK if self.chunk.is_none() => self.open_chunk(start, length),
+            op::DATA_END if self.chunk.is_none() && length == 4 => {
+                // Only met when the end of the file is unknown: the records are complete.
+                Ok(self.at_end())
+            }
+            _ if length > limit.saturating_sub(self.position) => self.broken(start),
+            op::MESSAGE if length >= MESSAGE_HEADER_BYTES => self.message(start, length),
+            op::HEADER..=op::DATA_END | 0x80.. if length <= SMALL_RECORD_BYTES_MAX => {
+                let Some(body) = self.read_vec(length)? else {
+                    return self.broken(start);
+                };
+                if let Some(what) = small_record_damage(opcode, &body) {
+                    self.tell(format!("{what} at byte {start}"));
+                }
+                Ok(Step::Nothing)
+            }
+            _ => self.broken(start),
+        }
+    }
+
+    fn at_end(&mut self) -> Step {
+        self.close_chunk();
+        if let Some(info) = self.pending.take() {
+            self.tell(format!("frame {}: its image is missing", info.frame));
+        }
+        if self.foreign > 0 {
+            self.tell(format!("{} frames belong to another camera", self.foreign));
+        }
+        Step::End
+    }
+
+    fn close_chunk(&mut self) {
+        if let Some(chunk) = self.chunk.take()
+            && chunk.whole
+            && self.position == chunk.end
+            && chunk.hasher.finalize() != chunk.crc
+        {
+            self.tell(format!("the chunk before byte {} fails its checksum", chunk.end));
+        }
+    }
+
+    fn open_chunk(&mut self, start: u64, length: u64) -> std::io::Result<Step> {
+        let Some(fields) = self.read_vec(CHUNK_HEADER_BYTES)? else {
+            return self.broken(start);
+        };
+        match plain_chunk(length, &fields) {
+            Some(crc) => {
+                self.chunk = Some(OpenChunk {
+                    end: self.position + (length - CHUNK_HEADER_BYTES),
+                    crc,
+                    hasher: crc32fast::Hasher::new(),
+                    whole: true,
+                });
+                Ok(Step::Nothing)
+            }
+            None => self.broken(start),
+        }
+    }
+
+    fn message(&mut self, start: u64, length: u64) -> std::io::Result<Step> {
+        let Some(head) = self.read_vec(MESSAGE_HEADER_BYTES)? else {
+            return self.broken(start);
+        };
+        let channel = Cursor::new(&head).u16();
+        let Some(data) = self.read_vec(length - MESSAGE_HEADER_BYTES)? else {
+            return self.broken(start);
+        };
+        if channel == Some(IMAGE_CHANNEL) {
+            return self.image(start, data);
+        }
+        if channel == Some(INFO_CHANNEL) {
+            return match FrameInfo::open(&data) {
+                Some(info) => {
+                    self.info(info);
+                    Ok(Step::Nothing)
+                }
+                None => {
+                    self.tell(format!("the frame info at byte {start} fails its checksum"));
+                    self.image_told = true;
+                    self.go_on_after(start)
+                }
+            };
+        }
+        self.tell(format!("a message at byte {start} has an unknown channel"));
+        self.go_on_after(start)
+    }
+
+    fn info(&mut self, info: FrameInfo) {
+        if let Some(before) = self.pending.take() {
+            self.tell(format!("frame {}: its image is missing", before.frame));
+        }
+        self.image_told = true;
+        if u64::from(info.index) < self.indices_seen {
+            self.tell(format!("frame {}: is in the file twice", info.frame));
+        } else if info.camera != self.camera.as_str() {
+            self.foreign += 1;
+            self.indices_seen = u64::from(info.index) + 1;
+        } else {
+            self.indices_seen = u64::from(info.index) + 1;
+            self.image_told = false;
+            self.pending = Some(info);
+        }
+    }
+
+    fn image(&mut self, start: u64, data: Vec<u8>) -> std::io::Result<Step> {
+        let Some(info) = self.pending.take() else {
+            if !self.image_told {
+                self.tell(format!("the image at byte {start} has no frame info"));
+            }
+            self.image_told = false;
+            return self.go_on_after(start);
+        };
+        match decode_image(&info, data) {
+            Ok(frame) => {
+                self.frames_read += 1;
+                Ok(Step::Frame(Box::new(RecordedFrame {
+                    frame,
+                    exposure_s: info.exposure_ns.map(|ns| ns as f64 * 1e-9),
+                    flags: FrameFlags(info.flags),
+                })))
+            }
+            Err(reason) => {
+                self.tell(format!("frame {}: {reason}", info.frame));
+                self.bytes_lost += self.position - start;
+                self.go_on_after(start)
+            }
+        }
+    }
+
+    /// After a record whose content is broken: its length may be broken too. It is believed when it ends
+    /// where its chunk does or a frame begins there.
+    fn go_on_after(&mut self, start: u64) -> std::io::Result<Step> {
+        let next = self.position;
+        if let Some(chunk) = &mut self.chunk {
+            chunk.whole = false;
+            if chunk.end == next {
+                return Ok(Step::Nothing);
+            }
+        }
+        if self.search(next, next + 1)? == Some(next) {
+            self.go_to(next)?;
+            return Ok(Step::Nothing);
+        }
+        self.resync(start)
+    }
+
+    /// A record that cannot be one.
+    fn broken(&mut self, start: u64) -> std::io::Result<Step> {
+        let step = self.resync(start)?;
+        let what = match step {
+            Step::End => format!("ends inside a record, after byte {start}"),
+            _ => format!("bytes {start} to {} are no record", self.position),
+        };
+        self.tell(what);
+        Ok(step)
+    }
+
+    fn resync(&mut self, start: u64) -> std::io::Result<Step> {
+        let found = self.search(start + 1, self.end)?;
+        let next = found.unwrap_or(self.end);
+        self.bytes_lost += next.saturating_sub(start);
+        self.go_to(next)?;
+        if let Some(chunk) = &mut self.chunk {
+            chunk.whole = false;
+            if next >= chunk.end {
+                self.chunk = None;
+            }
+        }
+        // Its image, if it was still to come, was in the lost bytes.
+        if let Some(info) = self.pending.take() {
+            self.tell(format!("frame {}: its image is missing", info.frame));
+        }
+        if found.is_some() {
+            return Ok(Step::Nothing);
+        }
+        Ok(self.at_end())
+    }
+
+    fn go_to(&mut self, position: u64) -> std::io::Result<()> {
+        self.reader.seek(SeekFrom::Start(position))?;
+        self.position = position;
+        Ok(())
+    }
+
+    /// First place in `from..to` where a chunk or a frame info begins.
+    fn search(&mut self, from: u64, to: u64) -> std::io::Result<Option<u64>> {
+        let mut base = from;
+        let mut window = Vec::new();
+        while base < to.min(self.end) {
+            self.reader.seek(SeekFrom::Start(base))?;
+            window.clear();
+            let wanted = (to.min(self.end) - base).min(SEARCH_BYTES as u64);
+            // Judging the last places needs bytes behind `to`.
+            self.reader
+                .by_ref()
+                .take(wanted + SEARCH_AHEAD as u64)
+                .read_to_end(&mut window)?;
+            let places = (wanted as usize).min(window.len());
+            for place in 0..places {
+                let Some(bytes) = window.get(place..) else { break };
+                if frame_begins(bytes) {
+                    return Ok(Some(base + place as u64));
+                }
+            }
+            if places == 0 {
+                break;
+            }
+            base += places as u64;
+        }
+        Ok(None)
+    }
+
+    /// The next `count` bytes; `None` when the file ends before.
+    fn read_vec(&mut self, count: u64) -> std::io::Result<Option<Vec<u8>>> {
+        if count > self.length.saturating_sub(self.position) {
+            return Ok(None);
+        }
+        let mut bytes = Vec::with_capacity(usize::try_from(count).unwrap_or(0));
+        self.reader.by_ref().take(count).read_to_end(&mut bytes)?;
+        self.position += bytes.len() as u64;
+        if let Some(chunk) = &mut self.chunk {
+            chunk.hasher.update(&bytes);
+        }
+        Ok((bytes.len() as u64 == count).then_some(bytes))
+    }
+}
+
+/// The checksum in the header of an uncompressed chunk, when its three lengths agree.
+fn plain_chunk(length: u64, fields: &[u8]) -> Option<u32> {
+    let mut cursor = Cursor::new(fields);
+    let (_begin, _end) = (cursor.u64()?, cursor.u64()?);
+    let uncompressed = cursor.u64()?;
+    let crc = cursor.u32()?;
+    let compression_length = cursor.u32()?;
+    let compressed = cursor.u64()?;
+    let agree = compression_length == 0
+        && uncompressed == compressed
+        && compressed.checked_add(CHUNK_HEADER_BYTES) == Some(length);
+    agree.then_some(crc)
+}
+
+fn frame_begins(bytes: &[u8]) -> bool {
+    let mut cursor = Cursor::new(bytes);
+    match cursor.bytes(1) {
+        Some([op::CHUNK]) => {
+            let length = cursor.u64();
+            let fields = cursor.bytes(CHUNK_HEADER_BYTES as usize);
+            matches!((length, fields), (Some(length), Some(fields)) if plain_chunk(length, fields).is_some())
+        }
+        Some([op::MESSAGE]) => {
+            let length = cursor.u64().unwrap_or(0);
+            let info_length = length.saturating_sub(MESSAGE_HEADER_BYTES);
+            (1..=INFO_BYTES_MAX).contains(&info_length)
+                && cursor
+                    .bytes(MESSAGE_HEADER_BYTES as usize)
+                    .and_then(|head| Cursor::new(head).u16())
+                    == Some(INFO_CHANNEL)
+                && cursor
+                    .bytes(info_length as usize)
+                    .and_then(FrameInfo::open)
+                    .is_some()
+        }
+        _ => false,
+    }
+}

@@ -1,0 +1,345 @@
+//! Writes a session: one [`CameraWriter`] per camera, each usable from its own thread.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use serde::{Deserialize, Serialize};
+
+use super::error::RecordingError;
+use super::frame_info::{FrameInfo, RecordedFrame};
+use super::layout::{
+    FILES_ATTACHMENT, IMAGE_CHANNEL, IMAGE_TOPIC, INFO_CHANNEL, INFO_TOPIC, PixelEncoding, SEGMENT_BYTES_MAX,
+    SEGMENT_SPAN_NS, SESSION_FILE, camera_file, is_session_file,
+};
+use super::payload::{encode_image, image_schema};
+use super::segment::{Attached, Segment, SegmentFinishing};
+use crate::scene::CameraId;
+
+/// What a session is made with.
+#[derive(Debug, Clone, Default)]
+pub struct SessionOptions {
+    /// Text of the rig file, kept in every file of the session.
+    pub rig_toml: String,
+    /// `calibration.json`, where there is one.
+    pub calibration_json: Option<String>,
+    /// How pixels are stored.
+    pub encoding: PixelEncoding,
+    /// How bytes reach the disk.
+    pub disk: DiskPath,
+}
+
+/// How bytes reach the disk.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum DiskPath {
+    /// Past the page cache where the file system allows it: for more data than fits in memory.
+    #[default]
+    Direct,
+    /// Through the page cache.
+    Buffered,
+}
+
+/// Size of a camera's frames.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CameraGeometry {
+    /// Columns.
+    pub width_px: u32,
+    /// Rows.
+    pub height_px: u32,
+}
+
+/// What the session file says of a finished camera file.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct FileEntry {
+    /// Frames written.
+    pub frames: u64,
+    /// First and last frame number.
+    pub frame_span: [u64; 2],
+    /// First and last stamp.
+    pub stamp_span_ns: [i64; 2],
+}
+
+type FileEntries = BTreeMap<String, FileEntry>;
+
+/// A session being written.
+pub struct SessionWriter {
+    folder: PathBuf,
+    options: Arc<SessionOptions>,
+    files: Arc<Mutex<FileEntries>>,
+    cameras: Vec<CameraId>,
+    session: Segment,
+}
+
+impl SessionWriter {
+    /// Makes the folder (it must be empty or not exist) and begins the session file.
+    ///
+    /// # Errors
+    /// [`RecordingError::NotEmpty`], or what the disk says.
+    pub fn create(folder: &Path, options: SessionOptions) -> Result<Self, RecordingError> {
+        let io = |e| RecordingError::io(folder, e);
+        std::fs::create_dir_all(folder).map_err(io)?;
+        if std::fs::read_dir(folder).map_err(io)?.next().is_some() {
+            return Err(RecordingError::NotEmpty {
+                folder: folder.to_owned(),
+            });
+        }
+        let about = [("content", "session".to_owned())];
+        let direct = options.disk == DiskPath::Direct;
+        let mut session = Segment::create(folder.join(SESSION_FILE), direct, &attached(&options), &about)?;
+        session.flush()?;
+        Ok(Self {
+            folder: folder.to_owned(),
+            options: Arc::new(options),
+            files: Arc::default(),
+            cameras: Vec::new(),
+            session,
+        })
+    }
+
+    /// Begins a camera's files.
+    ///
+    /// # Errors
+    /// [`RecordingError::CameraTwice`].
+    pub fn camera(
+        &mut self,
+        camera: &CameraId,
+        geometry: CameraGeometry,
+    ) -> Result<CameraWriter, RecordingError> {
+        if self.cameras.contains(camera) {
+            return Err(RecordingError::CameraTwice {
+                camera: camera.clone(),
+            });
+        }
+        self.cameras.push(camera.clone());
+        Ok(CameraWriter {
+            folder: self.folder.clone(),
+            camera: camera.clone(),
+            geometry,
+            options: Arc::clone(&self.options),
+            files: Arc::clone(&self.files),
+            open: None,
+            next_segment: 0,
+            last: None,
+            finishing: Vec::new(),
+            image: Vec::new(),
+        })
+    }
+
+    /// Ends the session; the cameras must have been finished before.
+    ///
+    /// # Errors
+    /// What the disk says.
+    pub fn finish(mut self) -> Result<(), RecordingError> {
+        let files = self.files.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let list = serde_json::to_string(&files).expect("names and numbers always serialise");
+        self.session.attach(FILES_ATTACHMENT, "application/json", &list)?;
+        self.session.finish()?.wait()
+    }
+}
+
+/// Empties a folder of its session, so that a new one can be made there.
+///
+/// # Errors
+/// [`RecordingError::NotASession`] when there is anything else in it: then nothing is removed.
+pub fn remove_session(folder: &Path) -> Result<(), RecordingError> {
+    let io = |e| RecordingError::io(folder, e);
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(io)? {
+        let entry = entry.map_err(io)?;
+        let name = entry.file_name();
+        if !name.to_str().is_some_and(is_session_file) {
+            return Err(RecordingError::NotASession {
+                folder: folder.to_owned(),
+                reason: format!("holds {}, which is no part of a session", name.display()),
+            });
+        }
+        files.push(entry.path());
+    }
+    for file in files {
+        std::fs::remove_file(&file).map_err(|e| RecordingError::io(&file, e))?;
+    }
+    Ok(())
+}
+
+fn attached(options: &SessionOptions) -> Attached {
+    Attached {
+        rig_toml: options.rig_toml.clone(),
+        calibration_json: options.calibration_json.clone(),
+    }
+}
+
+/// A file open for frames.
+struct OpenSegment {
+    segment: Segment,
+    entry: FileEntry,
+    flushed_ns: i64,
+}
+
+/// Writes the frames of one camera.
+pub struct CameraWriter {
+    folder: PathBuf,
+    camera: CameraId,
+    geometry: CameraGeometry,
+    options: Arc<SessionOptions>,
+    files: Arc<Mutex<FileEntries>>,
+    open: Option<OpenSegment>,
+    next_segment: u32,
+    last: Option<(u64, i64)>,
+    finishing: Vec<(SegmentFinishing, String, FileEntry)>,
+    image: Vec<u8>,
+}
+
+/// Stamps between two flushes: what a kill may cost.
+const FLUSH_SPAN_NS: i64 = 1_000_000_000;
+
+impl CameraWriter {
+    /// Appends a frame. Numbers and stamps must rise.
+    ///
+    /// # Errors
+    /// A frame of the wrong size or out of order is refused and the writer goes on; after a disk error
+    /// ([`RecordingError::DiskFull`], [`RecordingError::Io`]) it can only be dropped, and what was written
+    /// stays readable.
+    pub fn write(&mut self, recorded: &RecordedFrame) -> Result<(), RecordingError> {
+        self.check(recorded)?;
+        let stamp = recorded.frame.stamp;
+        let stamped_ns = stamp.stamped.nanos();
+        let full = self.open.as_ref().is_some_and(|open| {
+            let [begin_ns, _] = open.entry.stamp_span_ns;
+            stamped_ns.saturating_sub(begin_ns) >= SEGMENT_SPAN_NS
+                || open.segment.bytes() >= SEGMENT_BYTES_MAX
+        });
+        if full {
+            self.close_segment()?;
+        }
+        let mut open = match self.open.take() {
+            Some(open) => open,
+            None => self.open_segment(stamp.frame, stamped_ns)?,
+        };
+        encode_image(
+            &recorded.frame,
+            self.camera.as_str(),
+            self.options.encoding,
+            &mut self.image,
+        )
+        .map_err(|reason| RecordingError::Encoding {
+            file: open.segment.file().to_owned(),
+            reason,
+        })?;
+        let mut info = FrameInfo::new(recorded, &self.camera, self.options.encoding);
+        let index = open.entry.frames as u32;
+        info.index = index;
+        open.segment
+            .write(INFO_CHANNEL, index, stamped_ns, &info.seal())?;
+        open.segment
+            .write(IMAGE_CHANNEL, index, stamped_ns, &self.image)?;
+        open.entry.frames += 1;
+        open.entry.frame_span[1] = stamp.frame;
+        open.entry.stamp_span_ns[1] = stamped_ns;
+        if stamped_ns.saturating_sub(open.flushed_ns) >= FLUSH_SPAN_NS {
+            open.segment.flush()?;
+            open.flushed_ns = stamped_ns;
+        }
+        self.last = Some((stamp.frame, stamped_ns));
+        self.open = Some(open);
+        Ok(())
+    }
+
+    fn check(&self, recorded: &RecordedFrame) -> Result<(), RecordingError> {
+        let frame = &recorded.frame;
+        let (width_px, height_px) = (self.geometry.width_px, self.geometry.height_px);
+        let got_px = if (frame.width_px, frame.height_px) != (width_px, height_px) {
+            Some((u64::from(frame.width_px), u64::from(frame.height_px)))
+        } else {
+            let count = frame.bytes().len() as u64;
+            (count != u64::from(width_px) * u64::from(height_px)).then_some((count, 1))
+        };
+        if let Some(got_px) = got_px {
+            return Err(RecordingError::FrameSize {
+                camera: self.camera.clone(),
+                frame: frame.stamp.frame,
+                got_px,
+                expected_px: (width_px, height_px),
+            });
+        }
+        let (frame, stamped_ns) = (frame.stamp.frame, frame.stamp.stamped.nanos());
+        match self.last {
+            Some((previous_frame, previous_ns)) if frame <= previous_frame || stamped_ns <= previous_ns => {
+                Err(RecordingError::NotRising {
+                    camera: self.camera.clone(),
+                    frame,
+                    stamped_ns,
+                    previous_frame,
+                    previous_ns,
+                })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn open_segment(&mut self, frame: u64, stamped_ns: i64) -> Result<OpenSegment, RecordingError> {
+        let about = [
+            ("content", "frames".to_owned()),
+            ("camera", self.camera.to_string()),
+            ("segment", self.next_segment.to_string()),
+            ("width_px", self.geometry.width_px.to_string()),
+            ("height_px", self.geometry.height_px.to_string()),
+            ("encoding", self.options.encoding.name().to_owned()),
+        ];
+        let file = camera_file(&self.folder, &self.camera, self.next_segment);
+        let direct = self.options.disk == DiskPath::Direct;
+        let mut segment = Segment::create(file, direct, &attached(&self.options), &about)?;
+        self.next_segment += 1;
+        let info_schema = foxglove::Schema::new("pitchd.FrameInfo", "protobuf", FrameInfo::schema());
+        let info_topic = format!("/{}/{INFO_TOPIC}", self.camera);
+        let image_topic = format!("/{}/{IMAGE_TOPIC}", self.camera);
+        // A new file numbers its channels from 1.
+        let info_channel = segment.add_channel(&info_topic, "protobuf", &info_schema)?;
+        let image_channel =
+            segment.add_channel(&image_topic, "protobuf", &image_schema(self.options.encoding))?;
+        debug_assert_eq!((info_channel, image_channel), (INFO_CHANNEL, IMAGE_CHANNEL));
+        Ok(OpenSegment {
+            segment,
+            entry: FileEntry {
+                frames: 0,
+                frame_span: [frame; 2],
+                stamp_span_ns: [stamped_ns; 2],
+            },
+            flushed_ns: stamped_ns,
+        })
+    }
+
+    fn close_segment(&mut self) -> Result<(), RecordingError> {
+        if let Some(open) = self.open.take() {
+            let name = open.segment.file().file_name().unwrap_or_default();
+            let name = name.to_string_lossy().into_owned();
+            self.finishing.push((open.segment.finish()?, name, open.entry));
+        }
+        // Files that are long done are only asked how it went.
+        while self.finishing.len() > 2 {
+            self.settle_first()?;
+        }
+        Ok(())
+    }
+
+    fn settle_first(&mut self) -> Result<(), RecordingError> {
+        let (finishing, name, entry) = self.finishing.remove(0);
+        finishing.wait()?;
+        self.files
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .insert(name, entry);
+        Ok(())
+    }
+
+    /// Ends the camera's last file and waits until all are on the disk.
+    ///
+    /// # Errors
+    /// What the disk says.
+    pub fn finish(mut self) -> Result<(), RecordingError> {
+        self.close_segment()?;
+        while !self.finishing.is_empty() {
+            self.settle_first()?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,231 @@
+//! Image and video files to Mono8.
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+use opencv::core::{CV_8U, Mat, MatTraitConst, MatTraitConstManual};
+use opencv::videoio::{CAP_ANY, CAP_PROP_FRAME_COUNT, CAP_PROP_FRAME_HEIGHT, CAP_PROP_FRAME_WIDTH};
+use opencv::videoio::{VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst};
+use opencv::{imgcodecs, imgproc};
+
+/// Endings of image files that are read.
+pub const IMAGE_ENDINGS: [&str; 6] = ["pgm", "png", "tif", "tiff", "jpg", "jpeg"];
+
+/// An 8-bit grey image, rows from the top, no padding.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Mono8 {
+    /// Columns.
+    pub width_px: u32,
+    /// Rows.
+    pub height_px: u32,
+    /// `width·height` bytes.
+    pub pixels: Vec<u8>,
+}
+
+/// Why an image or video file cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {reason}", file.display())]
+pub struct ImageError {
+    /// File.
+    pub file: PathBuf,
+    /// Why.
+    pub reason: String,
+}
+
+/// Whether the name's ending is one of [`IMAGE_ENDINGS`].
+pub fn is_image_name(file: &Path) -> bool {
+    let ending = file.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+    ending.is_some_and(|ending| IMAGE_ENDINGS.contains(&ending.as_str()))
+}
+
+/// Reads an image. Colour becomes luma (BT.601, as OpenCV), transparency is dropped. An image of 16 bits is
+/// refused: how many of them the camera filled is not in the file, and a wrong guess would darken or clip
+/// without a word.
+///
+/// # Errors
+/// The file cannot be read or decoded, or has other than 8 bits.
+pub fn read_mono8(file: &Path) -> Result<Mono8, ImageError> {
+    let wrong = |reason: String| ImageError {
+        file: file.to_owned(),
+        reason,
+    };
+    let mut start = [0; 2];
+    let mut opened = std::fs::File::open(file).map_err(|e| wrong(e.to_string()))?;
+    let count = opened.read(&mut start).map_err(|e| wrong(e.to_string()))?;
+    match (count, &start) {
+        (0, _) => Err(wrong("is empty".to_owned())),
+        // Thousands of PGMs are imported at once; reading them straight is twice as fast as through OpenCV.
+        (2, b"P5") => {
+            let length = opened.metadata().map_or(0, |m| m.len());
+            let mut bytes = Vec::with_capacity(usize::try_from(length).unwrap_or(0));
+            opened.read_to_end(&mut bytes).map_err(|e| wrong(e.to_string()))?;
+            parse_pgm(bytes).map_err(wrong)
+        }
+        _ => {
+            drop(opened);
+            let path = file
+                .to_str()
+                .ok_or_else(|| wrong("its name is not UTF-8".to_owned()))?;
+            let image = imgcodecs::imread(path, imgcodecs::IMREAD_UNCHANGED)
+                .map_err(|e| wrong(format!("is not a readable image: {}", e.message)))?;
+            if image.empty() {
+                return Err(wrong("is not a readable image".to_owned()));
+            }
+            grey(&image).map_err(wrong)
+        }
+    }
+}
+
+/// A binary PGM after its `P5`.
+fn parse_pgm(mut bytes: Vec<u8>) -> Result<Mono8, String> {
+    let mut place = 0;
+    let mut field = |name: &str| {
+        let mut number: Option<u32> = None;
+        loop {
+            let byte = *bytes
+                .get(place)
+                .ok_or(format!("is cut short in its header ({name})"))?;
+            match (byte, number) {
+                (b'#', None) => {
+                    let rest = bytes.get(place..).unwrap_or_default();
+                    place += rest.iter().position(|b| *b == b'\n').unwrap_or(rest.len());
+                }
+                (b'0'..=b'9', before) => {
+                    let digit = u32::from(byte - b'0');
+                    let value = before
+                        .unwrap_or(0)
+                        .checked_mul(10)
+                        .and_then(|v| v.checked_add(digit));
+                    number = Some(value.ok_or(format!("has an absurd {name}"))?);
+                    place += 1;
+                }
+                (byte, Some(value)) if byte.is_ascii_whitespace() || byte == b'#' => return Ok(value),
+                (byte, None) if byte.is_ascii_whitespace() => place += 1,
+                _ => return Err(format!("has a broken header ({name})")),
+            }
+        }
+    };
+    let (width_px, height_px, white) = (field("width")?, field("height")?, field("maximum")?);
+    if white != 255 {
+        return Err(format!(
+            "has a maximum of {white}; 8-bit images with a maximum of 255 are read"
+        ));
+    }
+    // One whitespace byte after the maximum, then the rows.
+    let begin = place + 1;
+    let size = u64::from(width_px) * u64::from(height_px);
+    let have = bytes.len().saturating_sub(begin) as u64;
+    if have < size || size == 0 {
+        return Err(format!(
+            "is cut short: {have} bytes of pixels, {width_px}x{height_px} need {size}"
+        ));
+    }
+    bytes.drain(..begin);
+    bytes.truncate(usize::try_from(size).map_err(|_| "is too large".to_owned())?);
+    Ok(Mono8 {
+        width_px,
+        height_px,
+        pixels: bytes,
+    })
+}
+
+fn grey(image: &Mat) -> Result<Mono8, String> {
+    let text = |e: opencv::Error| e.message;
+    if image.depth() != CV_8U {
+        let bits = 8 * image.elem_size1();
+        return Err(format!("has {bits} bits per value; 8-bit images are read"));
+    }
+    let code = match image.channels() {
+        1 => None,
+        3 => Some(imgproc::COLOR_BGR2GRAY),
+        4 => Some(imgproc::COLOR_BGRA2GRAY),
+        other => return Err(format!("has {other} channels")),
+    };
+    let pixels = match code {
+        None if image.is_continuous() => image.data_bytes().map_err(text)?.to_vec(),
+        None => image
+            .try_clone()
+            .map_err(text)?
+            .data_bytes()
+            .map_err(text)?
+            .to_vec(),
+        Some(code) => {
+            let mut luma = Mat::default();
+            imgproc::cvt_color_def(image, &mut luma, code).map_err(text)?;
+            luma.data_bytes().map_err(text)?.to_vec()
+        }
+    };
+    let side = |n: i32| u32::try_from(n).map_err(|_| "has no size".to_owned());
+    Ok(Mono8 {
+        width_px: side(image.cols())?,
+        height_px: side(image.rows())?,
+        pixels,
+    })
+}
+
+/// A video file being read frame by frame.
+pub struct VideoReader {
+    file: PathBuf,
+    capture: VideoCapture,
+    size_px: (u32, u32),
+    frames_expected: Option<u64>,
+    frame: Mat,
+    frames_read: u64,
+}
+
+impl VideoReader {
+    /// Opens a video.
+    ///
+    /// # Errors
+    /// The file cannot be read or its codec is not known.
+    pub fn open(file: &Path) -> Result<Self, ImageError> {
+        let wrong = |reason: &str| ImageError {
+            file: file.to_owned(),
+            reason: reason.to_owned(),
+        };
+        std::fs::File::open(file).map_err(|e| wrong(&e.to_string()))?;
+        let path = file.to_str().ok_or_else(|| wrong("its name is not UTF-8"))?;
+        let capture = VideoCapture::from_file(path, CAP_ANY).map_err(|e| wrong(&e.message))?;
+        if !capture.is_opened().unwrap_or(false) {
+            return Err(wrong("is not a readable video"));
+        }
+        // OpenCV says 0 or a negative number where it does not know.
+        let property = |id| capture.get(id).ok().filter(|v| v.is_finite() && *v > 0.0);
+        let side = |id| property(id).map_or(0, |v| v as u32);
+        Ok(Self {
+            size_px: (side(CAP_PROP_FRAME_WIDTH), side(CAP_PROP_FRAME_HEIGHT)),
+            frames_expected: property(CAP_PROP_FRAME_COUNT).map(|v| v as u64),
+            file: file.to_owned(),
+            capture,
+            frame: Mat::default(),
+            frames_read: 0,
+        })
+    }
+
+    /// Columns and rows.
+    pub fn size_px(&self) -> (u32, u32) {
+        self.size_px
+    }
+
+    /// Frames by the container's header, which may be an estimate.
+    pub fn frames_expected(&self) -> Option<u64> {
+        self.frames_expected
+    }
+
+    /// The next frame as luma; `None` at the end.
+    ///
+    /// # Errors
+    /// The frame does not decode, or has other than 8 bits.
+    pub fn next_mono8(&mut self) -> Result<Option<Mono8>, ImageError> {
+        let wrong = |reason: String| ImageError {
+            file: self.file.clone(),
+            reason: format!("frame {}: {reason}", self.frames_read),
+        };
+        if !self.capture.read(&mut self.frame).map_err(|e| wrong(e.message))? {
+            return Ok(None);
+        }
+        let image = grey(&self.frame).map_err(wrong)?;
+        self.frames_read += 1;
+        Ok(Some(image))
+    }
+}

@@ -1,0 +1,261 @@
+//! Sessions on disk: what is written comes back bit by bit; what is broken is counted, never guessed.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use pitchd::recording::{
+    CameraGeometry, LostFrames, PixelEncoding, RecordedFrame, SessionOptions, SessionReader, SessionWriter,
+};
+use pitchd::scene::{CameraId, Frame, FrameStamp};
+use pitchd::time::{ArrivalTime, DeviceTime, StampedMidpoint};
+
+const PERIOD_NS: i64 = 5_714_286;
+
+fn camera(name: &str) -> CameraId {
+    CameraId::new(name).unwrap()
+}
+
+/// Frame `number` of a made-up camera: pixels differ from frame to frame and from camera to camera.
+fn frame(salt: u64, number: u64, geometry: CameraGeometry) -> RecordedFrame {
+    let count = u64::from(geometry.width_px) * u64::from(geometry.height_px);
+    let mut state = (salt << 32 | number).wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    let pixels: Vec<u8> = (0..count)
+        .map(|_| {
+            state ^= state << 13;
+            state ^= state >> 7;
+            state ^= state << 17;
+            (60 + state % 40) as u8
+        })
+        .collect();
+    let stamped = 1_000_000_000_000 + salt as i64 * 777 + number as i64 * PERIOD_NS;
+    RecordedFrame {
+        frame: Frame {
+            stamp: FrameStamp {
+                frame: number,
+                device: Some(DeviceTime::from_nanos(stamped - 999)),
+                arrival: number
+                    .is_multiple_of(2)
+                    .then(|| ArrivalTime::from_nanos(stamped + 12_345)),
+                stamped: StampedMidpoint::from_nanos(stamped),
+            },
+            width_px: geometry.width_px,
+            height_px: geometry.height_px,
+            pixels: Arc::new(pixels),
+        },
+        exposure_s: Some(0.001),
+        flags: Default::default(),
+    }
+}
+
+const SMALL: CameraGeometry = CameraGeometry {
+    width_px: 64,
+    height_px: 48,
+};
+
+/// A session of cameras `a` and `b`.
+fn write_session(folder: &Path, encoding: PixelEncoding, geometry: CameraGeometry, frames: u64) {
+    let options = SessionOptions {
+        rig_toml: "[site]\nname = \"x\"\n".to_owned(),
+        calibration_json: Some("{}".to_owned()),
+        encoding,
+        ..Default::default()
+    };
+    let mut session = SessionWriter::create(folder, options).unwrap();
+    for (salt, name) in [(1, "a"), (2, "b")] {
+        let mut writer = session.camera(&camera(name), geometry).unwrap();
+        for number in 0..frames {
+            writer.write(&frame(salt, number, geometry)).unwrap();
+        }
+        writer.finish().unwrap();
+    }
+    session.finish().unwrap();
+}
+
+fn same(got: &RecordedFrame, wanted: &RecordedFrame) -> bool {
+    got.frame.stamp == wanted.frame.stamp
+        && (got.frame.width_px, got.frame.height_px) == (wanted.frame.width_px, wanted.frame.height_px)
+        && got.frame.bytes() == wanted.frame.bytes()
+        && (got.exposure_s.unwrap() - wanted.exposure_s.unwrap()).abs() < 1e-12
+        && got.flags == wanted.flags
+}
+
+/// Reads camera `a`; every frame given must be exactly the one that was written. Numbers of the frames.
+fn read_a(reader: &SessionReader, geometry: CameraGeometry) -> Vec<u64> {
+    let Some(frames) = reader.frames(&camera("a")) else {
+        return Vec::new();
+    };
+    frames
+        .map(|got| {
+            let number = got.frame.stamp.frame;
+            assert!(
+                same(&got, &frame(1, number, geometry)),
+                "frame {number} is not what was written"
+            );
+            number
+        })
+        .collect()
+}
+
+fn file_of(folder: &Path, name: &str) -> PathBuf {
+    folder.join(name)
+}
+
+#[test]
+fn round_trip_is_bit_exact() {
+    for encoding in [PixelEncoding::Raw, PixelEncoding::Png] {
+        for (geometry, frames) in [
+            (SMALL, 40),
+            (
+                CameraGeometry {
+                    width_px: 1,
+                    height_px: 1,
+                },
+                3,
+            ),
+            (
+                CameraGeometry {
+                    width_px: 1999,
+                    height_px: 1011,
+                },
+                4,
+            ),
+        ] {
+            let folder = tempfile::tempdir().unwrap();
+            write_session(folder.path(), encoding, geometry, frames);
+            let reader = SessionReader::open(folder.path()).unwrap();
+            assert_eq!(read_a(&reader, geometry), (0..frames).collect::<Vec<_>>());
+            assert_eq!(reader.frames(&camera("b")).unwrap().count() as u64, frames);
+            assert_eq!(reader.damage(), []);
+            assert_eq!(reader.rig_toml(), Some("[site]\nname = \"x\"\n"));
+            assert_eq!(reader.calibration_json(), Some("{}"));
+            let a = reader.cameras().next().unwrap();
+            assert_eq!((a.frames, a.geometry), (Some(frames), Some(geometry)));
+        }
+    }
+}
+
+#[test]
+fn a_new_file_begins_every_ten_seconds_of_stamps() {
+    let folder = tempfile::tempdir().unwrap();
+    let frames = 21_000_000_000 / PERIOD_NS as u64;
+    let tiny = CameraGeometry {
+        width_px: 4,
+        height_px: 4,
+    };
+    write_session(folder.path(), PixelEncoding::Raw, tiny, frames);
+    let mut names: Vec<_> = fs::read_dir(folder.path())
+        .unwrap()
+        .map(|e| e.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort();
+    let wanted = [
+        "a.0000.mcap",
+        "a.0001.mcap",
+        "a.0002.mcap",
+        "b.0000.mcap",
+        "b.0001.mcap",
+        "b.0002.mcap",
+        "session.mcap",
+    ];
+    assert_eq!(names, wanted);
+    let reader = SessionReader::open(folder.path()).unwrap();
+    assert_eq!(read_a(&reader, tiny).len() as u64, frames);
+    // A file that is gone is told, with the frames that were in it.
+    fs::remove_file(folder.path().join("a.0001.mcap")).unwrap();
+    let reader = SessionReader::open(folder.path()).unwrap();
+    let [damage] = &reader.damage()[..] else {
+        panic!("{:?}", reader.damage())
+    };
+    assert_eq!(damage.reason, "is missing");
+    let left = read_a(&reader, tiny).len() as u64;
+    assert_eq!(damage.frames_lost, LostFrames::Exactly(frames - left));
+}
+
+#[test]
+fn truncation_at_any_byte_keeps_the_frames_before_it() {
+    let folder = tempfile::tempdir().unwrap();
+    write_session(folder.path(), PixelEncoding::Raw, SMALL, 12);
+    let file = file_of(folder.path(), "a.0000.mcap");
+    let whole = fs::read(&file).unwrap();
+    let frame_bytes = whole.len() / 13;
+    let mut tried = 0;
+    for cut in (0..whole.len()).step_by(97).chain(whole.len() - 200..whole.len()) {
+        fs::write(&file, &whole[..cut]).unwrap();
+        let reader = SessionReader::open(folder.path()).unwrap();
+        let read = read_a(&reader, SMALL);
+        // Twelve frames of 3.3 kB, after a head of some kB with schemas and the rig.
+        assert!(
+            read.len() + 4 >= cut / frame_bytes,
+            "cut {cut}: {} frames",
+            read.len()
+        );
+        assert_eq!(read, (0..read.len() as u64).collect::<Vec<_>>());
+        let damage = reader.damage();
+        let [damage] = &damage[..] else {
+            panic!("cut {cut}: {damage:?}")
+        };
+        assert_eq!(
+            damage.frames_lost,
+            LostFrames::Exactly(12 - read.len() as u64),
+            "cut {cut}"
+        );
+        assert_eq!(damage.frames_read, read.len() as u64);
+        tried += 1;
+    }
+    assert!(tried > 500);
+}
+
+/// Flips bytes all over one file. Frames that come back are right; what is lost is told.
+fn flip_everywhere(encoding: PixelEncoding, name: &str, step: usize) {
+    let folder = tempfile::tempdir().unwrap();
+    write_session(folder.path(), encoding, SMALL, 12);
+    let file = file_of(folder.path(), name);
+    let whole = fs::read(&file).unwrap();
+    let (mut tried, mut unseen) = (0, Vec::new());
+    for place in (0..whole.len()).step_by(step) {
+        let mut flipped = whole.clone();
+        flipped[place] ^= 1 << (place % 8);
+        fs::write(&file, &flipped).unwrap();
+        let reader = SessionReader::open(folder.path()).unwrap();
+        let read = read_a(&reader, SMALL);
+        let lost: u64 = reader.damage().iter().map(|d| d.frames_lost.count()).sum();
+        assert_eq!(
+            read.len() as u64 + lost,
+            12,
+            "byte {place}: {:?}",
+            reader.damage()
+        );
+        assert!(
+            lost <= 1,
+            "byte {place}: one flip cost {lost} frames: {:?}",
+            reader.damage()
+        );
+        if reader.damage().is_empty() {
+            unseen.push(place);
+        }
+        tried += 1;
+    }
+    println!(
+        "{name}: {tried} flips, {} without effect: {unseen:?}",
+        unseen.len()
+    );
+    assert!(
+        unseen.len() * 20 < tried,
+        "{} of {tried} flips went unseen",
+        unseen.len()
+    );
+}
+
+#[test]
+fn a_flipped_byte_costs_one_frame_and_is_told() {
+    flip_everywhere(PixelEncoding::Raw, "a.0000.mcap", 37);
+    flip_everywhere(PixelEncoding::Png, "a.0000.mcap", 41);
+}
+
+#[test]
+fn a_flipped_byte_in_the_session_file_costs_nothing() {
+    flip_everywhere(PixelEncoding::Raw, "session.mcap", 1);
+}
