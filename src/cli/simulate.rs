@@ -2,14 +2,18 @@
 
 use std::path::PathBuf;
 
-use crate::simulation::{self, Scenario};
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::simulation::{self, CameraRenderer, Scenario};
 
 const AFTER_HELP: &str = "\
 Examples:
   pitchd simulate config/scenario/three.toml --out /tmp/three
   pitchd solve /tmp/three/tracks --rig /tmp/three/rig.toml --out /tmp/three/result
+  pitchd simulate config/scenario/hard.toml --frames --seed 7 --out /tmp/hard
 
-DIR gets rig.toml (landmarks clicked with noise, no poses), tracks/<camera>.csv and truth/.";
+DIR gets rig.toml (landmarks clicked with noise, no poses), truth/, and tracks/<camera>.csv; with --frames also
+frames/<camera>/NNNNNN.pgm and timestamps.csv, which `pitchd import` reads.";
 
 /// Arguments of `pitchd simulate`.
 #[derive(Debug, clap::Args)]
@@ -20,9 +24,12 @@ pub struct SimulateArgs {
     /// Folder for the products; made if missing.
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// 2-D tracks (the default).
-    #[arg(long)]
+    /// 2-D tracks only (the default).
+    #[arg(long, conflicts_with = "frames")]
     pub tracks: bool,
+    /// Rendered frames too, around every ball (2 MB each at 2048×1024).
+    #[arg(long)]
+    pub frames: bool,
     /// Another seed than the scenario's.
     #[arg(long)]
     pub seed: Option<u64>,
@@ -48,5 +55,23 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
         simulated.tracks.len(),
         simulated.rig.cameras.len()
     );
+    if args.frames {
+        render(args, &scenario)?;
+    }
+    Ok(())
+}
+
+fn render(args: &SimulateArgs, scenario: &Scenario) -> anyhow::Result<()> {
+    for index in 0..scenario.cameras.len() {
+        let mut renderer = CameraRenderer::new(scenario, index)?;
+        let bar = ProgressBar::new(renderer.exposures().count() as u64)
+            .with_style(ProgressStyle::with_template(
+                "{prefix:>12} {wide_bar} {pos}/{len} {eta}",
+            )?)
+            .with_prefix(renderer.camera().to_string());
+        let count = simulation::write_frames(&args.out, &mut renderer, || bar.inc(1))?;
+        bar.finish_and_clear();
+        println!("{}: {count} frames", renderer.camera());
+    }
     Ok(())
 }

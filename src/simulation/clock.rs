@@ -15,6 +15,8 @@ pub(super) enum Purpose {
     Landmarks = 3,
     Survey = 4,
     Clutter = 5,
+    Scenery = 6,
+    PixelNoise = 7,
 }
 
 /// A random stream of its own for (seed, purpose, a, b): products do not change each other's numbers.
