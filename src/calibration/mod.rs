@@ -5,6 +5,7 @@ pub mod curves;
 mod delay_search;
 pub mod error;
 pub mod initial;
+pub mod joint;
 pub mod path;
 mod polish;
 pub mod relative_pose;
