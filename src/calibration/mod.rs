@@ -8,6 +8,7 @@ pub mod initial;
 pub mod joint;
 pub mod path;
 mod polish;
+pub mod recipe;
 pub mod relative_pose;
 pub mod resection;
 

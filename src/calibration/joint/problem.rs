@@ -5,7 +5,7 @@ use crate::flight::equations::{Loss, Sighting};
 use crate::flight::sighting::{CAMERA_KINDS, CameraModel, CameraNoise};
 use crate::flight::solve::{FlightState, cover};
 use crate::flight::{FlightOptions, FlightPrior, linear_start};
-use crate::scene::{ParameterKind, Rig, RollingShutter, WorldFrame};
+use crate::scene::{CameraId, ParameterKind, Rig, RollingShutter, WorldFrame};
 use crate::time::CameraTiming;
 
 use super::JointOptions;
@@ -76,7 +76,6 @@ impl JointProblem {
         start: &InitialEstimate,
         options: &JointOptions,
     ) -> Result<(Self, JointState), CalibrationError> {
-        let skew_epoch_ns = middle_stamp(pitches);
         let mut rig_cameras = Vec::new();
         let mut cameras = Vec::new();
         for (index, setup) in rig.cameras.iter().enumerate() {
@@ -88,14 +87,19 @@ impl JointProblem {
                 RollingShutter::Estimate => options.readout_prior_s.0,
                 RollingShutter::ReadoutSeconds(s) => s,
             };
+            let at = |values: &[f64]| values.get(index).copied().unwrap_or(0.0);
+            let stated_ns = start.skew_epoch_ns.get(index).copied().unwrap_or(0);
+            let skew_epoch_ns = middle_stamp(pitches, &setup.id);
+            let clock_skew_ppm = at(&start.clock_skew_ppm);
+            let since_s = (skew_epoch_ns - stated_ns) as f64 / crate::time::NANOS_PER_SECOND;
             rig_cameras.push(index);
             cameras.push(CameraModel {
                 id: setup.id.clone(),
                 pose: *pose,
                 intrinsics: setup.intrinsics,
                 timing: CameraTiming {
-                    capture_delay_s: start.capture_delay_s.get(index).copied().unwrap_or(0.0),
-                    clock_skew_ppm: 0.0,
+                    capture_delay_s: at(&start.capture_delay_s) + 1e-6 * clock_skew_ppm * since_s,
+                    clock_skew_ppm,
                     skew_epoch_ns,
                     readout_s,
                     height_px: setup.height_px,
@@ -239,8 +243,13 @@ fn stamp_span_s(pitches: &[PitchTracks]) -> f64 {
     (last - first) as f64 / crate::time::NANOS_PER_SECOND
 }
 
-/// Mean stamp: there the delay is least tied to the skew.
-fn middle_stamp(pitches: &[PitchTracks]) -> i64 {
-    let count = stamps(pitches).count().max(1) as i128;
-    (stamps(pitches).map(i128::from).sum::<i128>() / count) as i64
+/// Mean stamp of a camera: there its delay is least tied to its skew.
+fn middle_stamp(pitches: &[PitchTracks], camera: &CameraId) -> i64 {
+    let own: Vec<i128> = pitches
+        .iter()
+        .flat_map(|p| p.of(camera))
+        .filter_map(|t| t.points.first())
+        .map(|p| i128::from(p.stamped.nanos()))
+        .collect();
+    (own.iter().sum::<i128>() / own.len().max(1) as i128) as i64
 }

@@ -39,8 +39,11 @@ fn start(simulated: &Simulated, seed: u64) -> InitialEstimate {
                 }
             })
             .collect(),
+        clock_skew_ppm: vec![0.0; simulated.truth.cameras.len()],
+        skew_epoch_ns: vec![simulated.truth.epoch_ns; simulated.truth.cameras.len()],
         world: WorldFrame::HomePlate,
         score_px: 1.0,
+        notes: Vec::new(),
     }
 }
 

@@ -1,0 +1,221 @@
+//! The calibration as a recipe in numbered stages: tracks in, poses, delays and flights out.
+
+use super::association::{AssociationOptions, associate};
+use super::initial::{InitialOptions, hypotheses};
+use super::joint::{self, Candidate, JointOptions, JointSolution, WrongTrack};
+use super::{CalibrationError, PitchTracks};
+use crate::flight::{FlightOptions, SolvedFlight, solve_flight};
+use crate::scene::{Calibration, Rig, Track};
+
+/// Options of every stage.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct CalibrationOptions {
+    /// Tracks to pitches.
+    pub association: AssociationOptions,
+    /// First guesses.
+    pub initial: InitialOptions,
+    /// The joint problem.
+    pub joint: JointOptions,
+}
+
+/// One pitch's flight.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PitchFlight {
+    /// Index among the outcome's pitches.
+    pub pitch: usize,
+    /// The flight; its tracks are in the order of the pitch's tracks.
+    pub flight: SolvedFlight,
+    /// Whether the calibration rests on it; else it was solved afterwards.
+    pub used: bool,
+}
+
+/// A pitch without a flight, and why.
+#[derive(Debug, Clone, PartialEq)]
+pub struct UnsolvedPitch {
+    /// Index among the outcome's pitches.
+    pub pitch: usize,
+    /// In words.
+    pub reason: String,
+}
+
+/// What a calibration yields.
+#[derive(Debug, Clone)]
+pub struct CalibrationOutcome {
+    /// Poses, delays, covariance.
+    pub calibration: Calibration,
+    /// All pitches found, in time order, wrong tracks already taken out.
+    pub pitches: Vec<PitchTracks>,
+    /// Flights in the order of the pitches.
+    pub flights: Vec<PitchFlight>,
+    /// Pitches without a flight.
+    pub unsolved: Vec<UnsolvedPitch>,
+    /// Tracks that were not the ball.
+    pub wrong_tracks: Vec<WrongTrack>,
+}
+
+/// A start is finished too when its cost is within this factor of the best one's.
+const RIVAL_FACTOR: f64 = 1.2;
+
+/// Calibrates a rig from the tracks of pitches.
+///
+/// # Errors
+/// [`CalibrationError`]: too little to work on, no geometry that explains the tracks, or a delay left open.
+pub fn calibrate(
+    rig: &Rig,
+    tracks: &[Track],
+    options: &CalibrationOptions,
+) -> Result<CalibrationOutcome, CalibrationError> {
+    // 1. Tracks of several cameras that are one pitch.
+    let pitches = associate(rig, tracks, &options.association).pitches;
+    // 2. Where the cameras may be and how late their stamps may run.
+    let starts = hypotheses(rig, &pitches, &options.initial)?;
+    // 3. Every start to the bottom of its valley.
+    let mut candidates = Vec::with_capacity(starts.len());
+    let mut refusal = None;
+    for start in &starts {
+        match joint::explore(rig, &pitches, start, &options.joint) {
+            Ok(candidate) => candidates.push((candidate, &start.notes)),
+            Err(error) => refusal = Some(error),
+        }
+    }
+    candidates.sort_by(|a, b| a.0.cost.total_cmp(&b.0.cost));
+    // 4. The best, and its rivals, to the end.
+    let (solution, notes) = choose(rig, &pitches, candidates, options, refusal)?;
+    // 5. Flights of the pitches that the calibration does not rest on.
+    let mut outcome = assemble(pitches, solution);
+    outcome.calibration.warnings.extend(notes);
+    solve_the_rest(rig, &mut outcome);
+    Ok(outcome)
+}
+
+fn choose(
+    rig: &Rig,
+    pitches: &[PitchTracks],
+    candidates: Vec<(Candidate, &Vec<String>)>,
+    options: &CalibrationOptions,
+    mut refusal: Option<CalibrationError>,
+) -> Result<(JointSolution, Vec<String>), CalibrationError> {
+    let best_cost = candidates.first().map_or(f64::INFINITY, |c| c.0.cost);
+    let mut best: Option<(JointSolution, Vec<String>)> = None;
+    for (candidate, notes) in candidates {
+        if best.is_some() && candidate.cost > RIVAL_FACTOR * best_cost {
+            break;
+        }
+        if best
+            .as_ref()
+            .is_some_and(|(b, _)| candidate.same_place(&b.calibration))
+        {
+            continue;
+        }
+        match joint::finish(rig, pitches, candidate, &options.joint) {
+            Ok(solution) => {
+                if best.as_ref().is_none_or(|(b, _)| solution.cost < b.cost) {
+                    best = Some((solution, notes.clone()));
+                }
+            }
+            Err(error) => refusal = refusal.or(Some(error)),
+        }
+    }
+    best.ok_or_else(|| {
+        refusal.unwrap_or(CalibrationError::NotConverged {
+            stage: "joint estimation",
+            reason: "no start led to a solution".to_owned(),
+        })
+    })
+}
+
+fn assemble(mut pitches: Vec<PitchTracks>, solution: JointSolution) -> CalibrationOutcome {
+    let JointSolution {
+        calibration,
+        mut flights,
+        flight_pitches,
+        wrong_tracks,
+        ..
+    } = solution;
+    for (flight, pitch) in flights.iter_mut().zip(&flight_pitches) {
+        let is_wrong = |camera: &_, track| {
+            wrong_tracks
+                .iter()
+                .any(|w| w.pitch == *pitch && w.camera == *camera && w.track == track)
+        };
+        flight.tracks.retain(|t| !is_wrong(&t.camera, t.track));
+    }
+    for (index, pitch) in pitches.iter_mut().enumerate() {
+        pitch.tracks.retain(|t| {
+            !wrong_tracks
+                .iter()
+                .any(|w| w.pitch == index && w.camera == t.camera && w.track == t.track)
+        });
+    }
+    CalibrationOutcome {
+        calibration,
+        pitches,
+        flights: flights
+            .into_iter()
+            .zip(flight_pitches)
+            .map(|(flight, pitch)| PitchFlight {
+                pitch,
+                flight,
+                used: true,
+            })
+            .collect(),
+        unsolved: Vec::new(),
+        wrong_tracks,
+    }
+}
+
+fn solve_the_rest(rig: &Rig, outcome: &mut CalibrationOutcome) {
+    let options = FlightOptions::for_site(&rig.site, outcome.calibration.world);
+    for (pitch, tracks) in outcome.pitches.iter_mut().enumerate() {
+        if outcome.flights.iter().any(|f| f.pitch == pitch) {
+            continue;
+        }
+        tracks
+            .tracks
+            .retain(|t| outcome.calibration.camera(&t.camera).is_some());
+        match solve_flight(&outcome.calibration, &tracks.tracks, &options) {
+            Ok(flight) => outcome.flights.push(PitchFlight {
+                pitch,
+                flight,
+                used: false,
+            }),
+            Err(error) => outcome.unsolved.push(UnsolvedPitch {
+                pitch,
+                reason: error.to_string(),
+            }),
+        }
+    }
+    outcome.flights.sort_by_key(|f| f.pitch);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::simulation::{DetectionNoise, Layout, Scenario, simulate_tracks};
+
+    #[test]
+    fn a_session_is_calibrated_from_nothing_but_landmarks() {
+        for (layout, delays) in [
+            (Layout::Three, &[0.73, -1.31][..]),
+            (Layout::TwoOpposite, &[-1.7][..]),
+        ] {
+            let scenario = Scenario::stock(layout, delays, 8).with_detection(DetectionNoise::gaussian(0.3));
+            let simulated = simulate_tracks(&scenario).unwrap();
+            let clock = std::time::Instant::now();
+            let outcome =
+                calibrate(&simulated.rig, &simulated.tracks, &CalibrationOptions::default()).unwrap();
+            println!("{layout:?}: {:?}", clock.elapsed());
+            assert_eq!(outcome.flights.len(), 8);
+            assert!(outcome.wrong_tracks.is_empty() && outcome.unsolved.is_empty());
+            for (camera, truth) in outcome.calibration.cameras.iter().zip(&simulated.truth.cameras) {
+                let error = (camera.capture_delay_s - truth.capture_delay_s) * 175.0;
+                println!(
+                    "{}: {error:+.4} ± {:.4}",
+                    camera.id,
+                    175.0 * camera.capture_delay_sigma_s
+                );
+                assert!(error.abs() < 4.0 * 175.0 * camera.capture_delay_sigma_s + 1e-9);
+            }
+        }
+    }
+}
