@@ -45,6 +45,8 @@ pub struct DetectorConfig {
     pub radius_px: [f64; 2],
     /// A break between stamps longer than this starts anew, seconds.
     pub break_s: f64,
+    /// Memory for cut-outs around candidates, bytes; they wait there for their track to end.
+    pub patch_bytes: usize,
     /// Only these regions are searched; empty: the whole frame.
     pub regions: Vec<PixelRect>,
     /// Never searched.
@@ -63,6 +65,7 @@ impl Default for DetectorConfig {
             busy_fraction_max: 0.4,
             radius_px: [1.2, 14.0],
             break_s: 0.25,
+            patch_bytes: 16 << 20,
             regions: Vec::new(),
             masks: Vec::new(),
         }

@@ -1,16 +1,18 @@
 //! One camera's detector: takes frames in time order, answers each a few frames later.
 
-use super::blobs::{BlobFinder, Images};
+use super::blobs::{Blob, BlobFinder, Images};
 use super::centroid::{Moments, moments};
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
 use super::error::DetectionError;
 use super::history::History;
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
+use super::patches::PatchPool;
+use super::refine::{Refinement, refine};
 use super::regions::{REGION_TILES, RegionNoise};
 use super::tiles::TileMap;
 use crate::geometry::Pixel;
-use crate::scene::{Detection, Frame, FrameStamp};
+use crate::scene::{Detection, Frame, FrameStamp, Track};
 
 /// A blob of fewer pixels is noise.
 const AREA_MIN_PX: usize = 4;
@@ -41,11 +43,15 @@ pub struct Detector {
     noise: RegionNoise,
     history: History,
     lag: usize,
+    next_lag: usize,
     next_answer: usize,
     column_max: Vec<u8>,
     tiles: TileMap,
     blobs: BlobFinder,
+    found: Vec<(Detection, Blob)>,
     detections: Vec<Detection>,
+    patches: PatchPool,
+    edge_sigma_px: Option<f64>,
     counters: DetectorCounters,
 }
 
@@ -66,10 +72,14 @@ impl Detector {
             noise: RegionNoise::new(&config, width, height),
             history: History::new(3 * lag_max + 2, width, height),
             lag: config.lag_frames.max(1),
+            next_lag: config.lag_frames.max(1),
             next_answer: 0,
             column_max: vec![0; width],
             tiles: TileMap::new(width, height),
             blobs: BlobFinder::new(width, Kernels::new(isa)),
+            found: Vec::with_capacity(1024),
+            patches: PatchPool::new(config.patch_bytes),
+            edge_sigma_px: None,
             detections: Vec::with_capacity(config.candidates_max + 1),
             counters: DetectorCounters::default(),
             config,
@@ -133,6 +143,23 @@ impl Detector {
         }
         self.history.restart();
         self.next_answer = 0;
+        self.lag = self.next_lag;
+    }
+
+    /// The second look: replaces the centroids of a track of this detector's candidates by centres fitted to the
+    /// kept cut-outs. Points whose cut-out is gone or does not look like the ball keep their centroid and its
+    /// larger covariance. `None`: too few cut-outs, nothing changed.
+    pub fn refine(&mut self, track: &mut Track) -> Option<Refinement> {
+        let refinement = refine(&self.patches, self.config.exposure_s, self.edge_sigma_px, track)?;
+        self.edge_sigma_px = Some(refinement.edge_sigma_px);
+        Some(refinement)
+    }
+
+    /// Chooses the lag for a ball that moves at least this far between frames and covers this length along its
+    /// motion, pixels: far enough that it does not overlap itself. Takes effect with the next window.
+    pub fn adapt_lag(&mut self, step_px: f64, length_px: f64) {
+        let frames = ((length_px + 3.0) / step_px.max(0.1)).ceil();
+        self.next_lag = (frames as usize).clamp(1, self.config.lag_frames_max.max(1));
     }
 
     fn check_size(&self, frame: &Frame) -> Result<(), DetectionError> {
@@ -190,6 +217,7 @@ impl Detector {
         let index = self.next_answer;
         self.next_answer += 1;
         self.detections.clear();
+        self.found.clear();
         let Some(triple) = self.history.triple(index, self.lag, ended) else {
             self.counters.unanswered += 1;
             return;
@@ -220,13 +248,17 @@ impl Detector {
                 continue;
             }
             if let Some(found) = moments(&images, blob).and_then(|m| candidate(&self.config, stamp, &m)) {
-                self.detections.push(found);
+                self.found.push((found, *blob));
             }
         }
-        self.detections.sort_by(|a, b| b.strength.total_cmp(&a.strength));
-        let extra = self.detections.len().saturating_sub(self.config.candidates_max);
+        self.found.sort_by(|a, b| b.0.strength.total_cmp(&a.0.strength));
+        let extra = self.found.len().saturating_sub(self.config.candidates_max);
         self.counters.candidates_dropped += extra as u64;
-        self.detections.truncate(self.config.candidates_max);
+        self.found.truncate(self.config.candidates_max);
+        for (detection, blob) in &self.found {
+            self.patches.keep(&images, blob, detection);
+            self.detections.push(*detection);
+        }
         answer(stamp, &self.detections);
     }
 }

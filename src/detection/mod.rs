@@ -13,12 +13,16 @@ mod blobs;
 mod centroid;
 mod config;
 mod detector;
+mod disc;
 mod dispatch;
 mod error;
+mod fit;
 mod history;
 mod kernel;
 #[cfg(test)]
 pub(crate) mod painter;
+mod patches;
+mod refine;
 mod regions;
 mod tiles;
 
@@ -26,3 +30,4 @@ pub use config::{DetectorConfig, PixelRect};
 pub use detector::{Detector, DetectorCounters};
 pub use dispatch::Isa;
 pub use error::DetectionError;
+pub use refine::Refinement;

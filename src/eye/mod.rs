@@ -2,7 +2,10 @@
 
 use crate::detection::{DetectionError, Detector, DetectorConfig, DetectorCounters};
 use crate::scene::{CameraId, Frame, Track};
-use crate::tracking::{TrackKind, TrackedBall, Tracker, TrackerConfig, TrackerCounters};
+use crate::tracking::{TrackKind, TrackedBall, Tracker, TrackerConfig, TrackerCounters, polish};
+
+/// Departure of refined centres from a smooth path beyond their covariance, pixels.
+const REFINED_FLOOR_PX: f64 = 0.2;
 
 /// Settings of an eye.
 #[derive(Debug, Clone, Default)]
@@ -47,12 +50,28 @@ impl CameraEye {
         } = self;
         detector.flush(&mut |stamp, found| tracker.push(stamp, found));
         let last = self.tracker.finish();
-        self.balls.extend(last);
+        self.look_again(last);
     }
 
     fn collect(&mut self) {
         let fresh = self.tracker.drain();
-        self.balls.extend(fresh);
+        self.look_again(fresh);
+    }
+
+    /// Refines the centres of what may be a pitch, and trims what then shows not to be free flight.
+    fn look_again(&mut self, balls: Vec<TrackedBall>) {
+        for mut ball in balls {
+            if ball.kind == TrackKind::Pitch
+                && let Some(refinement) = self.detector.refine(&mut ball.track)
+            {
+                ball.shape.radius_px = refinement.radius_px;
+                if let Some(polished) = polish(&ball.track, REFINED_FLOOR_PX) {
+                    ball.track = polished;
+                }
+                tracing::debug!(camera = %ball.track.camera, track = ball.track.track, ?refinement, "refined");
+            }
+            self.balls.push(ball);
+        }
     }
 
     /// Everything smooth that moved since the last call, with its kind.

@@ -15,8 +15,8 @@ use crate::scene::{CameraId, Track, TrackPoint};
 const LOOK_AHEAD: usize = 10;
 /// A point further than this many σ from the smooth path is not the ball.
 const OUTLIER_SIGMAS: f64 = 5.0;
-/// Departure allowed beyond the covariance, pixels.
-const OUTLIER_FLOOR_PX: f64 = 0.5;
+/// Departure of centroids from the smooth path beyond their covariance, pixels.
+const CENTROID_FLOOR_PX: f64 = 0.5;
 
 /// The ball of a path, with the detections it took; `None` where it is none.
 pub fn conclude(
@@ -39,7 +39,7 @@ pub fn conclude(
             })
             .collect(),
     };
-    let track = polish(&track)?;
+    let track = polish(&track, CENTROID_FLOOR_PX)?;
     let mut radii: Vec<f64> = points.iter().map(|p| p.detection.radius_px).collect();
     radii.sort_by(f64::total_cmp);
     let radius_px = radii.get(radii.len() / 2).copied()?;
@@ -93,13 +93,13 @@ fn extend_back(
 
 /// Drops points off the smooth path, worst first; what is left is the ball in free flight.
 ///
-/// Called again after the centres were refined: with their small covariance the ends in the hand and in the
-/// glove show. `None` when nothing is left.
-pub fn polish(track: &Track) -> Option<Track> {
+/// `floor_px` is the departure allowed beyond the covariance. Called again after the centres were refined: with
+/// their small covariance the ends in the hand and in the glove show. `None` when nothing is left.
+pub fn polish(track: &Track, floor_px: f64) -> Option<Track> {
     let epoch = track.points.first()?.stamped.nanos();
     let mut kept = track.points.clone();
     loop {
-        let samples: Vec<Sample> = kept.iter().map(|p| sample(p, epoch)).collect();
+        let samples: Vec<Sample> = kept.iter().map(|p| sample(p, epoch, floor_px)).collect();
         let degree = match samples.len() {
             0..4 => return None,
             4..10 => 2,
@@ -135,11 +135,11 @@ pub fn polish(track: &Track) -> Option<Track> {
     })
 }
 
-fn sample(point: &TrackPoint, epoch: i64) -> Sample {
+fn sample(point: &TrackPoint, epoch: i64, floor_px: f64) -> Sample {
     let variance = point.covariance_px2.map_or(0.25, |c| 0.5 * c.trace());
     Sample {
         t: point.stamped.seconds_since(epoch),
         position_px: point.pixel.vector(),
-        variance_px2: variance + OUTLIER_FLOOR_PX * OUTLIER_FLOOR_PX,
+        variance_px2: variance + floor_px * floor_px,
     }
 }

@@ -1,0 +1,573 @@
+//! Fits the picture of a ball ([`super::disc`]) to the cut-outs of one track together.
+//!
+//! Centre and level are each frame's own; radius, streak length and light belong to the ball and are shared, so
+//! seventy frames determine them and one frame only has to find its centre. Gauss–Newton on the shared
+//! parameters with the own ones eliminated (Schur complement); the centre's covariance contains both parts.
+
+use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
+
+use super::disc::{
+    Edge, Information, LEVEL, LIGHT, OWN, PARAMETERS, Parameters, RADIUS, STREAK_SCALE, Sweep, TERMS, model,
+};
+use super::patches::Patch;
+
+/// Shared parameters: radius in the middle of the track, its growth, streak scale, light.
+pub const SHARED: usize = 3 + TERMS;
+/// Most Gauss–Newton steps of a centre.
+const OWN_STEPS_MAX: usize = 10;
+/// Converged when the centre moves less than this, pixels.
+const STEP_MIN_PX: f64 = 0.002;
+/// The picture is never better than this share of the ball's contrast (optics, seams, steps of the light).
+const MODEL_ERROR_SHARE: f64 = 0.02;
+/// Residuals beyond this many σ count linearly.
+const HUBER_SIGMAS: f64 = 2.5;
+/// Prior σ of the light's terms relative to the level: polynomial, then sphere.
+const LIGHT_SIGMA: [f64; TERMS] = [0.2, 0.2, 0.1, 0.1, 0.1, 2.0, 2.0, 2.0];
+/// The polynomial's prior σ is this many times smaller until the sphere has found its light: else the
+/// polynomial takes the light and the sphere stays dark.
+const POLYNOMIAL_HELD: f64 = 8.0;
+/// Prior σ of the radius' growth over the track.
+const GROWTH_SIGMA: f64 = 0.5;
+/// Prior σ of ln(radius).
+const RADIUS_SIGMA_SHARE: f64 = 0.7;
+
+/// Shared parameters as a vector.
+pub type SharedVector = SVector<f64, SHARED>;
+type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
+
+/// What all frames of a track share.
+#[derive(Debug, Clone, Copy)]
+pub struct Shared {
+    /// Radius mid-track (px), growth, streak scale, light.
+    pub values: SharedVector,
+    /// Mean of the prior.
+    pub prior: SharedVector,
+    /// Weights of the prior.
+    pub weights: SharedVector,
+}
+
+impl Shared {
+    /// Before anything was fitted: a radius and how well the streak's length is known.
+    pub fn start(radius_px: f64, streak_scale_sigma: f64) -> Self {
+        let mut values = SharedVector::zeros();
+        let mut weights = SharedVector::zeros();
+        values[0] = radius_px;
+        values[2] = 1.0;
+        weights[0] = (RADIUS_SIGMA_SHARE * radius_px).powi(-2);
+        weights[1] = GROWTH_SIGMA.powi(-2);
+        weights[2] = streak_scale_sigma.powi(-2);
+        for (i, (weight, sigma)) in weights.iter_mut().skip(3).zip(LIGHT_SIGMA).enumerate() {
+            let held = if i < TERMS - 3 { POLYNOMIAL_HELD } else { 1.0 };
+            *weight = (held / sigma).powi(2);
+        }
+        let prior = values;
+        // Lit from above and a little from the camera's side, as by day and under lamps.
+        values[3 + 6] = -0.8;
+        values[3 + 7] = 0.3;
+        Self {
+            values,
+            prior,
+            weights,
+        }
+    }
+
+    /// Lets the polynomial of the light go.
+    pub fn release_light(&mut self) {
+        for (weight, sigma) in self.weights.iter_mut().skip(3).zip(LIGHT_SIGMA) {
+            *weight = sigma.powi(-2);
+        }
+    }
+
+    /// Radius at place τ ∈ [−½, ½] of the track: 1/r is linear, as depth is.
+    pub fn radius_px(&self, place: f64) -> f64 {
+        self.values[0] / (1.0 + self.values[1] * place).max(0.2)
+    }
+
+    fn fill(&self, place: f64, own: &Vector3<f64>) -> Parameters {
+        let mut parameters = Parameters::zeros();
+        parameters.fixed_rows_mut::<OWN>(0).copy_from(own);
+        parameters[RADIUS] = self.radius_px(place);
+        parameters[STREAK_SCALE] = self.values[2];
+        for i in 0..TERMS {
+            parameters[LIGHT + i] = self.values[3 + i];
+        }
+        parameters
+    }
+
+    fn clamp(&mut self) {
+        self.values[0] = self.values[0].clamp(0.4 * self.prior[0], 3.0 * self.prior[0]);
+        self.values[1] = self.values[1].clamp(-1.2, 1.2);
+        self.values[2] = self.values[2].clamp(0.0, 6.0);
+    }
+}
+
+/// One frame's pixels and its own parameters.
+pub struct Picture {
+    observations: Vec<Observation>,
+    sweep: Sweep,
+    place: f64,
+    start_px: Vector2<f64>,
+    reach_px: f64,
+    model_variance: f64,
+    own: Vector3<f64>,
+    chi2: f64,
+    say: f64,
+}
+
+/// One pixel to fit.
+#[derive(Clone, Copy)]
+struct Observation {
+    at: Vector2<f64>,
+    value: f64,
+    background: f64,
+    variance: f64,
+}
+
+/// What is known of one frame before the fit.
+#[derive(Debug, Clone, Copy)]
+pub struct PictureStart {
+    /// Centre to start from, pixels (no pull).
+    pub centre_px: Vector2<f64>,
+    /// Streak from start to end of the exposure at scale 1, pixels.
+    pub streak_px: Vector2<f64>,
+    /// Radius that decides which pixels are fitted.
+    pub radius_px: f64,
+    /// Place in the track, −½ at its begin, ½ at its end.
+    pub place: f64,
+}
+
+/// A fitted centre.
+#[derive(Debug, Clone, Copy)]
+pub struct FittedCentre {
+    /// Geometric centre at the exposure midpoint, pixels.
+    pub centre_px: Vector2<f64>,
+    /// Covariance of the centre, px²: this frame's noise and the shared parameters'.
+    pub covariance_px2: Matrix2<f64>,
+    /// Mean squared residual over its expectation.
+    pub chi2: f64,
+}
+
+/// Normal equations of one linearisation.
+struct Normal {
+    information: Information,
+    gradient: Parameters,
+    cost: f64,
+    squares: f64,
+    used: f64,
+}
+
+impl Picture {
+    /// Selects the pixels and guesses the level; `None` where there is too little to fit.
+    pub fn new(patch: &Patch<'_>, start: &PictureStart, edge: &Edge) -> Option<Self> {
+        let (observations, contrast) = observe(patch, start, edge);
+        if observations.len() < 12 || contrast.abs() < 1.0 {
+            return None;
+        }
+        let near = observations
+            .iter()
+            .filter(|o| (o.at - start.centre_px).norm() < 0.6 * start.radius_px + 0.7)
+            .fold((0.0, 0.0), |(sum, n), o| (sum + o.value, n + 1.0));
+        let level = near.0 / f64::max(near.1, 1.0);
+        Some(Self {
+            observations,
+            sweep: Sweep::new(start.streak_px),
+            place: start.place,
+            start_px: start.centre_px,
+            reach_px: start.radius_px + 0.5 * start.streak_px.norm() + 1.0,
+            model_variance: (MODEL_ERROR_SHARE * contrast).powi(2),
+            own: Vector3::new(start.centre_px.x, start.centre_px.y, level.max(1.0) / 1.2),
+            chi2: 1.0,
+            say: 1.0,
+        })
+    }
+
+    fn linearise(&self, own: &Vector3<f64>, shared: &Shared, edge: &Edge) -> Normal {
+        let parameters = shared.fill(self.place, own);
+        let mut result = Normal {
+            information: Information::zeros(),
+            gradient: Parameters::zeros(),
+            cost: 0.0,
+            squares: 0.0,
+            used: 0.0,
+        };
+        for o in &self.observations {
+            let Some(m) = model(o.at, o.background, &parameters, &self.sweep, edge) else {
+                result.cost += huber((o.value - o.background).powi(2) / o.variance).0;
+                continue;
+            };
+            let variance = o.variance + self.model_variance;
+            let residual = o.value - m.value;
+            let squared = residual * residual / variance;
+            let (cost, weight) = huber(squared);
+            let scale = weight / variance;
+            result.cost += cost;
+            result.squares += weight * squared;
+            result.used += 1.0;
+            result.gradient += m.gradient * (scale * residual);
+            result.information.ger(scale, &m.gradient, &m.gradient, 1.0);
+        }
+        result
+    }
+
+    /// Finds centre and level for given shared parameters; gives the final linearisation.
+    fn solve_own(&mut self, shared: &Shared, edge: &Edge) -> Option<Normal> {
+        let mut state = self.linearise(&self.own, shared, edge);
+        let mut damping = 1e-3;
+        for _ in 0..OWN_STEPS_MAX {
+            let mut block: Matrix3<f64> = state.information.fixed_view::<OWN, OWN>(0, 0).into_owned();
+            for i in 0..OWN {
+                block[(i, i)] *= 1.0 + damping;
+            }
+            let step = block
+                .cholesky()?
+                .solve(&state.gradient.fixed_rows::<OWN>(0).into_owned());
+            let trial = self.own + step;
+            let next = self.linearise(&trial, shared, edge);
+            if next.cost <= state.cost {
+                self.own = trial;
+                state = next;
+                damping = (damping * 0.2).max(1e-9);
+                if step[0].hypot(step[1]) < STEP_MIN_PX {
+                    break;
+                }
+            } else {
+                damping *= 8.0;
+                if damping > 1e5 {
+                    break;
+                }
+            }
+        }
+        self.chi2 = state.squares / (state.used - 3.0).max(1.0);
+        let moved = (self.own.xy() - self.start_px).norm();
+        (moved.is_finite() && moved < self.reach_px && self.own[LEVEL] > 0.0).then_some(state)
+    }
+
+    /// ∂(frame's shared parameters)/∂(track's shared parameters): radius by radius and growth.
+    fn chain(&self, shared: &Shared) -> SMatrix<f64, { PARAMETERS - OWN }, SHARED> {
+        let mut chain = SMatrix::zeros();
+        let stretch = (1.0 + shared.values[1] * self.place).max(0.2);
+        chain[(0, 0)] = 1.0 / stretch;
+        chain[(0, 1)] = -shared.values[0] * self.place / (stretch * stretch);
+        for i in 1..PARAMETERS - OWN {
+            chain[(i, i + 1)] = 1.0;
+        }
+        chain
+    }
+}
+
+/// One step's pooled equations with every frame's own parameters eliminated.
+struct Pooled {
+    information: SharedMatrix,
+    gradient: SharedVector,
+    cost: f64,
+}
+
+fn pool(pictures: &mut [Picture], shared: &Shared, edge: &Edge) -> Pooled {
+    let off = shared.values - shared.prior;
+    let mut pooled = Pooled {
+        information: SharedMatrix::from_diagonal(&shared.weights),
+        gradient: -off.component_mul(&shared.weights),
+        cost: 0.5 * off.component_mul(&off).dot(&shared.weights),
+    };
+    for picture in pictures {
+        let before = picture.own;
+        let Some(normal) = picture.solve_own(shared, edge) else {
+            picture.own = before;
+            continue;
+        };
+        let own: Matrix3<f64> = normal.information.fixed_view::<OWN, OWN>(0, 0).into_owned();
+        let Some(inverse) = own.try_inverse() else {
+            continue;
+        };
+        let chain = picture.chain(shared);
+        let cross = normal.information.fixed_view::<OWN, { PARAMETERS - OWN }>(0, OWN) * chain;
+        let rest = normal
+            .information
+            .fixed_view::<{ PARAMETERS - OWN }, { PARAMETERS - OWN }>(OWN, OWN);
+        let own_gradient = normal.gradient.fixed_rows::<OWN>(0);
+        let rest_gradient = chain.transpose() * normal.gradient.fixed_rows::<{ PARAMETERS - OWN }>(OWN);
+        let say = picture.say;
+        let eliminated = cross.transpose() * inverse;
+        pooled.information += (chain.transpose() * rest * chain - eliminated * cross) * say;
+        pooled.gradient += (rest_gradient - eliminated * own_gradient) * say;
+        pooled.cost += normal.cost * say;
+    }
+    pooled
+}
+
+/// A frame that looks less like the ball than most (half hidden, at an edge) has little say.
+fn weigh(pictures: &mut [Picture]) {
+    let mut all: Vec<f64> = pictures.iter().map(|p| p.chi2).collect();
+    all.sort_by(f64::total_cmp);
+    let median = all.get(all.len() / 2).copied().unwrap_or(1.0).max(0.5);
+    for picture in pictures {
+        picture.say = 1.0 / (1.0 + (picture.chi2 / (3.0 * median)).powi(4));
+    }
+}
+
+/// Fits the shared parameters of a track; gives their covariance and the cost reached.
+pub fn fit_shared(
+    pictures: &mut [Picture],
+    shared: &mut Shared,
+    edge: &Edge,
+    steps_max: usize,
+) -> Option<(SharedMatrix, f64)> {
+    pool(pictures, shared, edge);
+    weigh(pictures);
+    let mut state = pool(pictures, shared, edge);
+    let mut damping = 1e-2;
+    for _ in 0..steps_max {
+        let mut damped = state.information;
+        for i in 0..SHARED {
+            damped[(i, i)] *= 1.0 + damping;
+        }
+        let step = damped.cholesky()?.solve(&state.gradient);
+        let mut trial = *shared;
+        trial.values += step;
+        trial.clamp();
+        let kept: Vec<Vector3<f64>> = pictures.iter().map(|p| p.own).collect();
+        let next = pool(pictures, &trial, edge);
+        if next.cost <= state.cost {
+            let gain = state.cost - next.cost;
+            *shared = trial;
+            state = next;
+            damping = (damping * 0.2).max(1e-9);
+            if gain < 1e-4 * state.cost.max(1.0) {
+                break;
+            }
+        } else {
+            for (picture, own) in pictures.iter_mut().zip(kept) {
+                picture.own = own;
+            }
+            damping *= 8.0;
+            if damping > 1e4 {
+                break;
+            }
+        }
+    }
+    Some((state.information.cholesky()?.inverse(), state.cost))
+}
+
+/// The centre of one picture under the shared parameters found; `None` where it is not a ball.
+pub fn fit_centre(
+    picture: &mut Picture,
+    shared: &Shared,
+    covariance: &SharedMatrix,
+    edge: &Edge,
+) -> Option<FittedCentre> {
+    let normal = picture.solve_own(shared, edge)?;
+    let own: Matrix3<f64> = normal.information.fixed_view::<OWN, OWN>(0, 0).into_owned();
+    let inverse = own.cholesky()?.inverse();
+    let chain = picture.chain(shared);
+    let by_shared = inverse * (normal.information.fixed_view::<OWN, { PARAMETERS - OWN }>(0, OWN) * chain);
+    let total = inverse * picture.chi2.max(1.0) + by_shared * covariance * by_shared.transpose();
+    Some(FittedCentre {
+        centre_px: picture.own.xy(),
+        covariance_px2: total.fixed_view::<2, 2>(0, 0).into_owned(),
+        chi2: picture.chi2,
+    })
+}
+
+/// The pixels that the ball may reach with what is behind them, and the mean contrast near the centre.
+fn observe(patch: &Patch<'_>, start: &PictureStart, edge: &Edge) -> (Vec<Observation>, f64) {
+    let sigma = patch.difference_sigma.max(0.6);
+    let noise = 0.5 * sigma * sigma;
+    let reach = 1.3 * start.radius_px + 3.0 * edge.sigma_px + 1.0;
+    let half = start.streak_px * 0.5;
+    let brighter = lift_near(patch, start) >= 0;
+    let mut observations = Vec::with_capacity(patch.current.len());
+    let mut contrast = (0.0, 0.0);
+    let pixels = patch.current.iter().zip(patch.one).zip(patch.other).enumerate();
+    for (i, ((current, one), other)) in pixels {
+        let at = Vector2::new(
+            (patch.left + i % patch.width) as f64,
+            (patch.top + i / patch.width) as f64,
+        );
+        let off = at - start.centre_px;
+        let along = off.dot(&half) / half.norm_squared().max(1e-12);
+        if (off - half * along.clamp(-1.0, 1.0)).norm() > reach {
+            continue;
+        }
+        let (a, b) = (f64::from(*one), f64::from(*other));
+        let apart = (a - b).abs();
+        // The references differ where one of them holds the ball or something that moves: take the one further
+        // from the ball's level, and believe it less.
+        let (background, unsure) = if apart < 3.0 * sigma {
+            (0.5 * (a + b), 0.0)
+        } else if brighter {
+            (a.min(b), 0.35 * apart)
+        } else {
+            (a.max(b), 0.35 * apart)
+        };
+        let value = f64::from(*current);
+        if off.norm() < start.radius_px + 0.5 {
+            contrast = (contrast.0 + value - background, contrast.1 + 1.0);
+        }
+        let saturated = if *current == u8::MAX { 400.0 } else { 0.0 };
+        observations.push(Observation {
+            at,
+            value,
+            background,
+            variance: 1.5 * noise + unsure * unsure + saturated,
+        });
+    }
+    (observations, contrast.0 / f64::max(contrast.1, 1.0))
+}
+
+/// Sum of the change of the nine pixels around the start: positive for a ball brighter than the background.
+fn lift_near(patch: &Patch<'_>, start: &PictureStart) -> i32 {
+    let x = (start.centre_px.x.max(0.0).round() as usize).saturating_sub(patch.left);
+    let y = (start.centre_px.y.max(0.0).round() as usize).saturating_sub(patch.top);
+    let mut lift = 0i32;
+    for dy in 0..3 {
+        for dx in 0..3 {
+            let index = (y + dy).saturating_sub(1) * patch.width + (x + dx).saturating_sub(1);
+            if let (Some(c), Some(a), Some(b)) = (
+                patch.current.get(index),
+                patch.one.get(index),
+                patch.other.get(index),
+            ) {
+                lift += 2 * i32::from(*c) - i32::from(*a) - i32::from(*b);
+            }
+        }
+    }
+    lift
+}
+
+/// Huber cost and weight of a squared normalised residual.
+fn huber(squared: f64) -> (f64, f64) {
+    let size = squared.sqrt();
+    if size <= HUBER_SIGMAS {
+        (0.5 * squared, 1.0)
+    } else {
+        (HUBER_SIGMAS * (size - 0.5 * HUBER_SIGMAS), HUBER_SIGMAS / size)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detection::painter::{Ball, Canvas};
+    use crate::scene::Frame;
+
+    struct Case {
+        radius: f64,
+        streak: f64,
+        noise: f32,
+        shade: f64,
+        to_light: [f64; 3],
+    }
+
+    /// Bias and rms along and across the motion over sub-pixel places, against the painter's truth, and the mean
+    /// squared error over its covariance.
+    fn errors(case: &Case, sigma_edge: f64) -> ([f64; 2], [f64; 2], f64, f64, Shared, f64) {
+        let stand = Canvas::stand(64, 64, 5, 30.0);
+        let edge = Edge::new(sigma_edge);
+        let angle = 0.3f64;
+        let direction = Vector2::new(angle.cos(), angle.sin());
+        let mut truths = Vec::new();
+        let mut frames: Vec<[Frame; 3]> = Vec::new();
+        for trial in 0..60u64 {
+            let centre = [
+                31.0 + 0.137 * (trial % 13) as f64,
+                32.0 + 0.211 * (trial % 7) as f64,
+            ];
+            truths.push(Vector2::new(centre[0], centre[1]));
+            let mut canvas = stand.clone();
+            canvas.ball(&Ball {
+                centre,
+                streak: [case.streak * direction.x, case.streak * direction.y],
+                radius: case.radius,
+                light: 200.0,
+                shade: case.shade,
+                to_light: case.to_light,
+            });
+            frames.push([
+                canvas.frame(trial, 175.0, case.noise),
+                stand.frame(1000 + trial, 175.0, case.noise),
+                stand.frame(2000 + trial, 175.0, case.noise),
+            ]);
+        }
+        let mut pictures: Vec<Picture> = frames
+            .iter()
+            .zip(&truths)
+            .enumerate()
+            .map(|(i, ([c, a, b], truth))| {
+                let patch = Patch {
+                    left: 0,
+                    top: 0,
+                    width: 64,
+                    current: c.bytes(),
+                    one: a.bytes(),
+                    other: b.bytes(),
+                    difference_sigma: f64::from(case.noise) * 1.414,
+                    radius_px: case.radius,
+                };
+                let start = PictureStart {
+                    centre_px: truth + Vector2::new(0.5, -0.6),
+                    streak_px: direction * case.streak,
+                    radius_px: case.radius * 1.1,
+                    place: i as f64 / 59.0 - 0.5,
+                };
+                Picture::new(&patch, &start, &edge).unwrap()
+            })
+            .collect();
+        let mut shared = Shared::start(0.75 * case.radius, 0.03);
+        fit_shared(&mut pictures, &mut shared, &edge, 10).unwrap();
+        shared.release_light();
+        let (covariance, cost) = fit_shared(&mut pictures, &mut shared, &edge, 15).unwrap();
+        let (mut sum, mut squares, mut n, mut chi, mut nees) = ([0.0; 2], [0.0; 2], 0.0, 0.0, 0.0);
+        for (picture, truth) in pictures.iter_mut().zip(&truths) {
+            let ball = fit_centre(picture, &shared, &covariance, &edge).unwrap();
+            let off = ball.centre_px - truth;
+            let parts = [off.dot(&direction), off.y * direction.x - off.x * direction.y];
+            for i in 0..2 {
+                sum[i] += parts[i];
+                squares[i] += parts[i] * parts[i];
+            }
+            nees += (off.transpose() * ball.covariance_px2.try_inverse().unwrap() * off)[0] / 2.0;
+            chi += ball.chi2;
+            n += 1.0;
+        }
+        (
+            sum.map(|s| s / n),
+            squares.map(|s| f64::sqrt(s / n)),
+            chi / n,
+            nees / n,
+            shared,
+            cost,
+        )
+    }
+
+    #[test]
+    fn the_centre_has_no_bias_from_the_light() {
+        let mut cases = 0;
+        for (shade, to_light) in [(60.0, [0.3, -1.0, -0.5]), (100.0, [0.5, -1.0, -1.0])] {
+            for (radius, streak) in [(2.2, 4.0), (3.0, 1.0), (3.0, 6.0)] {
+                let case = Case {
+                    radius,
+                    streak,
+                    noise: 2.0,
+                    shade,
+                    to_light,
+                };
+                let (bias, rms, chi2, nees, shared, cost) = errors(&case, 0.3);
+                println!(
+                    "shade {shade} radius {radius} streak {streak}: bias {bias:.3?} rms {rms:.3?} chi2 {chi2:.2} \
+                     nees {nees:.2} cost {cost:.0} shared {:.2?}",
+                    shared.values.as_slice()
+                );
+                assert!(
+                    bias.iter().all(|b| b.abs() < 0.07),
+                    "bias {bias:?} px, radius {radius}, streak {streak}"
+                );
+                assert!(
+                    rms.iter().all(|r| *r < 0.1),
+                    "rms {rms:?} px, radius {radius}, streak {streak}"
+                );
+                cases += 1;
+            }
+        }
+        assert_eq!(cases, 6);
+    }
+}

@@ -1,0 +1,156 @@
+//! Cut-outs around candidates, kept until their track is known: the second look ([`super::refine`]) needs them.
+//!
+//! One arena of fixed size; the oldest cut-outs make room for new ones.
+
+use std::collections::VecDeque;
+
+use super::blobs::{Blob, Images};
+use crate::geometry::Pixel;
+use crate::scene::Detection;
+use crate::time::StampedMidpoint;
+
+/// Pixels around a blob's box that are kept too.
+const MARGIN_PX: usize = 6;
+/// A cut-out is never wider or higher than this.
+const SIDE_MAX_PX: usize = 64;
+
+/// Where a cut-out is, in the frame and in the arena.
+#[derive(Debug, Clone, Copy)]
+struct Header {
+    stamped: StampedMidpoint,
+    centre: Pixel,
+    left: usize,
+    top: usize,
+    width: usize,
+    height: usize,
+    offset: usize,
+    difference_sigma: f32,
+    radius_px: f64,
+}
+
+/// A cut-out: the frame and its two references, row by row.
+#[derive(Debug, Clone, Copy)]
+pub struct Patch<'a> {
+    /// First column in the frame.
+    pub left: usize,
+    /// First row in the frame.
+    pub top: usize,
+    /// Columns.
+    pub width: usize,
+    /// The frame.
+    pub current: &'a [u8],
+    /// A reference.
+    pub one: &'a [u8],
+    /// The other reference.
+    pub other: &'a [u8],
+    /// σ of a frame difference here, levels.
+    pub difference_sigma: f64,
+    /// Radius by the first look, pixels.
+    pub radius_px: f64,
+}
+
+/// The arena.
+pub struct PatchPool {
+    bytes: Vec<u8>,
+    headers: VecDeque<Header>,
+    next: usize,
+}
+
+impl PatchPool {
+    /// An arena of this many bytes.
+    pub fn new(capacity_bytes: usize) -> Self {
+        Self {
+            bytes: vec![0; capacity_bytes],
+            headers: VecDeque::with_capacity(capacity_bytes / 512),
+            next: 0,
+        }
+    }
+
+    /// Keeps the surroundings of a blob under the stamp and centre of its detection.
+    pub fn keep(&mut self, images: &Images<'_>, blob: &Blob, detection: &Detection) {
+        let (stamped, centre) = (detection.stamped, detection.centre);
+        if self.headers.back().is_some_and(|newest| newest.stamped > stamped) {
+            self.headers.clear();
+        }
+        let (left, width) = span(blob.left, blob.right, centre.x, images.width_px);
+        let (top, height) = span(blob.top, blob.bottom, centre.y, images.height_px);
+        let size = 3 * width * height;
+        if size == 0 || size > self.bytes.len() {
+            return;
+        }
+        if self.next + size > self.bytes.len() {
+            self.next = 0;
+        }
+        let (begin, end) = (self.next, self.next + size);
+        while self.headers.front().is_some_and(|old| {
+            let old_end = old.offset + 3 * old.width * old.height;
+            old.offset < end && begin < old_end
+        }) {
+            self.headers.pop_front();
+        }
+        if self.headers.len() == self.headers.capacity() {
+            self.headers.pop_front();
+        }
+        let mut write = begin;
+        for source in [images.current, images.one, images.other] {
+            for y in top..top + height {
+                let from = y * images.width_px + left;
+                if let (Some(to), Some(row)) = (
+                    self.bytes.get_mut(write..write + width),
+                    source.get(from..from + width),
+                ) {
+                    to.copy_from_slice(row);
+                }
+                write += width;
+            }
+        }
+        self.next = end;
+        self.headers.push_back(Header {
+            stamped,
+            centre,
+            left,
+            top,
+            width,
+            height,
+            offset: begin,
+            difference_sigma: blob.difference_sigma,
+            radius_px: detection.radius_px,
+        });
+    }
+
+    /// The cut-out kept under this stamp and centre, if it is still there.
+    pub fn find(&self, stamped: StampedMidpoint, centre: Pixel) -> Option<Patch<'_>> {
+        let first = self.headers.partition_point(|h| h.stamped < stamped);
+        let header = self
+            .headers
+            .range(first..)
+            .take_while(|h| h.stamped == stamped)
+            .find(|h| h.centre == centre)?;
+        let size = header.width * header.height;
+        let all = self.bytes.get(header.offset..header.offset + 3 * size)?;
+        let (current, references) = all.split_at(size);
+        let (one, other) = references.split_at(size);
+        Some(Patch {
+            left: header.left,
+            top: header.top,
+            width: header.width,
+            current,
+            one,
+            other,
+            difference_sigma: f64::from(header.difference_sigma),
+            radius_px: header.radius_px,
+        })
+    }
+}
+
+/// First pixel and count along one axis: the blob with its margin, or the middle of a large one.
+fn span(first: usize, last: usize, centre: f64, size: usize) -> (usize, usize) {
+    let begin = first.saturating_sub(MARGIN_PX);
+    let end = (last + 1 + MARGIN_PX).min(size);
+    if end - begin.min(end) <= SIDE_MAX_PX {
+        return (begin, end - begin.min(end));
+    }
+    let begin = (centre.max(0.0) as usize).saturating_sub(SIDE_MAX_PX / 2);
+    let end = (begin + SIDE_MAX_PX).min(size);
+    (begin.min(end), end - begin.min(end))
+}
