@@ -132,7 +132,7 @@ pub(super) fn pitch(number: u32, real: &RealPitch) -> Pitch {
         strike_margin_m: zone.margin_m(mid[0], mid[2]),
         strike_probability: zone.strike_probability([mid[0], mid[2]], &covariance),
         drag_coefficient: [0.35, 0.02],
-        flight: (0..=80)
+        flight: (0..=140)
             .map(|i| {
                 let t = release_s + f64::from(i) / 175.0;
                 FlightSample {

@@ -135,7 +135,10 @@ fn write_tracks(folder: &Path, tracks: &[Track]) -> Result<(), ExportError> {
 }
 
 /// Writes `text` beside `path`, then renames it into place.
-pub(super) fn replace(path: &Path, text: &str) -> Result<(), ExportError> {
+///
+/// # Errors
+/// [`ExportError::Write`] with the path.
+pub fn replace(path: &Path, text: &str) -> Result<(), ExportError> {
     let mut part = path.as_os_str().to_owned();
     part.push(".part");
     let part = PathBuf::from(part);

@@ -1,8 +1,21 @@
 //! `report.html`: one page, no outside resources, for the operator and the analyst.
 
-use crate::scene::{Calibration, CameraId, Pitch, Rig};
+mod cameras;
+mod chart;
+mod conventions;
+mod cost_trace;
+mod flights;
+mod html;
+mod pitch_tables;
+mod residuals;
+mod strike_zone;
 
+use crate::flight::MPH_MPS;
+use crate::scene::{Calibration, CalibrationMethod, CameraId, Pitch, PitchQuality, Rig, WorldFrame};
+
+use super::date::UtcDate;
 use super::statcast::PlatePlane;
+use html::{count, escape, median, number};
 
 /// One reprojection residual (predicted − observed).
 #[derive(Debug, Clone, PartialEq)]
@@ -44,5 +57,189 @@ pub struct ReportInput<'a> {
 
 /// The page.
 pub fn html(input: &ReportInput<'_>) -> String {
-    format!("<!doctype html><title>{}</title>", input.title)
+    let calibration = input.calibration;
+    let at_home = calibration.world == WorldFrame::HomePlate;
+    let mut body = head(input);
+    body += &warnings(input);
+    body += &key_figures(input);
+    body += "<section><h2>Pitches</h2>\n";
+    if input.pitches.is_empty() {
+        body += "<p class=\"empty\">No pitch was solved.</p>\n";
+    } else {
+        body += &pitch_tables::pitches(input.pitches);
+    }
+    body += "</section>\n";
+    if at_home && !input.pitches.is_empty() {
+        body += "<section><h2>Where they went</h2>\n<div class=\"views\">";
+        body += &strike_zone::plot(input.pitches);
+        body += "<div class=\"stack\">";
+        body += &flights::plots(input.pitches, input.rig.site.field);
+        body += "</div></div></section>\n";
+    }
+    if !input.pitches.is_empty() {
+        body += "<section><h2>How they were measured</h2>\n";
+        body += &pitch_tables::measured(input.pitches);
+        body += "</section>\n";
+    }
+    body += "<section><h2>Cameras</h2>\n";
+    body += &cameras::delay_and_pose_table(calibration, input.rig);
+    body += "<div class=\"cards\">";
+    body += &cameras::map(calibration, input.rig.site.field);
+    body += &residuals::cards(input.residuals, calibration);
+    body += "</div>\n";
+    body += &cost_trace::plot(calibration);
+    body += "</section>\n";
+    body += "<section><h2>What the numbers mean</h2>\n";
+    body += &conventions::section(calibration);
+    body += "</section>\n";
+    page(&format!("{} · {}", input.title, input.rig.site.name), &body)
 }
+
+/// The shell around a body of HTML.
+fn page(title: &str, body_html: &str) -> String {
+    format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <meta name=\"color-scheme\" content=\"light dark\">\n<title>{}</title>\n<style>\n{}</style>\n</head>\n\
+         <body>\n<main>\n{body_html}</main>\n<footer>pitchd {}</footer>\n</body>\n</html>\n",
+        escape(title),
+        include_str!("style.css"),
+        env!("CARGO_PKG_VERSION")
+    )
+}
+
+fn method_name(method: CalibrationMethod) -> &'static str {
+    match method {
+        CalibrationMethod::Joint => "joint estimate",
+        CalibrationMethod::Kim2019 => "kim2019",
+    }
+}
+
+fn head(input: &ReportInput<'_>) -> String {
+    let calibration = input.calibration;
+    let start = input.pitches.iter().map(|p| p.release_time_ns).min();
+    let when = start.and_then(UtcDate::from_unix_nanos);
+    let mut facts = vec![
+        ("Session".to_owned(), input.title.to_owned()),
+        (
+            "Method".to_owned(),
+            format!(
+                "{}, calibration version {}",
+                method_name(calibration.method),
+                calibration.version
+            ),
+        ),
+        ("Reference camera".to_owned(), calibration.reference.to_string()),
+    ];
+    if let Some(when) = when {
+        facts.push((
+            "First pitch".to_owned(),
+            format!("{} {} UTC", when.day(), when.time()),
+        ));
+    }
+    facts.extend_from_slice(input.facts);
+    let facts: String = facts
+        .iter()
+        .map(|(name, value)| format!("<div><dt>{}</dt><dd>{}</dd></div>", escape(name), escape(value)))
+        .collect();
+    format!(
+        "<header>\n<p class=\"kicker\">{}</p>\n<h1>{} from {}</h1>\n<dl class=\"facts\">{facts}</dl>\n</header>\n",
+        escape(&input.rig.site.name),
+        count(input.pitches.len(), "pitch", "pitches"),
+        count(calibration.cameras.len(), "camera", "cameras"),
+    )
+}
+
+/// Warnings before any number.
+fn warnings(input: &ReportInput<'_>) -> String {
+    let mut all: Vec<String> = input
+        .calibration
+        .warnings
+        .iter()
+        .chain(input.warnings)
+        .map(|w| escape(w))
+        .collect();
+    all.dedup();
+    for (quality, what) in [
+        (PitchQuality::Poor, "not to be used"),
+        (PitchQuality::Degraded, "weaker than the rest"),
+    ] {
+        let numbers: Vec<String> = input
+            .pitches
+            .iter()
+            .filter(|p| p.quality == quality)
+            .map(|p| format!("<a href=\"#pitch-{0}\">{0}</a>", p.pitch))
+            .collect();
+        if !numbers.is_empty() {
+            let noun = if numbers.len() == 1 { "Pitch" } else { "Pitches" };
+            all.push(format!(
+                "{noun} {}: {what}; the table says why.",
+                numbers.join(", ")
+            ));
+        }
+    }
+    if all.is_empty() {
+        return String::new();
+    }
+    let items: String = all.iter().map(|w| format!("<li>{w}</li>")).collect();
+    format!(
+        "<section class=\"warnings\" aria-label=\"Warnings\"><h2>Mind this</h2><ul>{items}</ul></section>\n"
+    )
+}
+
+/// The few numbers that tell how good the session is.
+fn key_figures(input: &ReportInput<'_>) -> String {
+    let good = input
+        .pitches
+        .iter()
+        .filter(|p| p.quality == PitchQuality::Good)
+        .count();
+    let middle = |of: fn(&Pitch) -> f64, decimals: usize| {
+        median(input.pitches.iter().map(of)).map_or("–".to_owned(), |v| number(v, decimals))
+    };
+    let delays = input
+        .calibration
+        .cameras
+        .iter()
+        .filter(|c| c.id != input.calibration.reference);
+    let worst_delay_us = delays
+        .map(|c| 1e6 * c.capture_delay_sigma_s)
+        .fold(f64::NAN, f64::max);
+    let tiles = [
+        (
+            format!("{good} <small>of {}</small>", input.pitches.len()),
+            "good pitches",
+        ),
+        (
+            format!(
+                "± {}, {} <small>mm</small>",
+                middle(|p| 1e3 * p.sigma.plate_mid_m[0], 1),
+                middle(|p| 1e3 * p.sigma.plate_mid_m[1], 1)
+            ),
+            "plate location x, z, median 1σ",
+        ),
+        (
+            format!(
+                "± {} <small>mph</small>",
+                middle(|p| p.sigma.release_speed_mps / MPH_MPS, 2)
+            ),
+            "release speed, median 1σ",
+        ),
+        (
+            format!("± {} <small>µs</small>", number(worst_delay_us, 1)),
+            "delay, worst camera, 1σ",
+        ),
+        (
+            format!("{} <small>px</small>", middle(|p| p.reprojection_rms_px, 2)),
+            "reprojection, median rms",
+        ),
+    ];
+    let tiles: String = tiles
+        .iter()
+        .map(|(value, name)| format!("<div><b>{value}</b><span>{name}</span></div>"))
+        .collect();
+    format!("<section class=\"figures\" aria-label=\"Key figures\">{tiles}</section>\n")
+}
+
+#[cfg(test)]
+mod tests;
