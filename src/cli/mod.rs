@@ -1,6 +1,7 @@
 //! The command line: one file a subcommand; no mathematics.
 
 mod evaluate;
+mod export;
 mod import;
 mod simulate;
 
@@ -30,6 +31,8 @@ pub struct Cli {
 pub enum Command {
     /// Score results against truth; the estimators' own experiments.
     Evaluate(evaluate::EvaluateArgs),
+    /// Write analyst files (Statcast, TrackMan, JSON lines) from results.
+    Export(export::ExportArgs),
     /// Build a session from folders of images or from video files.
     Import(import::ImportArgs),
     /// Make a session from a scenario: stadium, cameras, pitches, noise; truth beside it.
@@ -44,6 +47,7 @@ impl Cli {
     pub fn run(&self) -> anyhow::Result<()> {
         match &self.command {
             Command::Evaluate(args) => evaluate::run(args),
+            Command::Export(args) => export::run(args),
             Command::Import(args) => import::run(args),
             Command::Simulate(args) => simulate::run(args),
         }
