@@ -100,3 +100,84 @@ fn with_landmarks_the_right_basin_is_found_from_any_layout() {
         }
     }
 }
+
+/// Worst errors of relative poses without landmarks: delay (frames), turn and baseline direction (degrees), and of
+/// the metric upgrade: up (degrees) and log of the scale.
+fn errors_without_landmarks(case: &Case, seed: u64) -> [f64; 5] {
+    let phase = (seed as f64 * 0.618_034).fract() - 0.5;
+    let delays: Vec<f64> = case.delays_frames.iter().map(|d| d + phase).collect();
+    let scenario = Scenario::stock(case.layout, &delays, 8)
+        .with_seed(seed)
+        .with_detection(DetectionNoise::gaussian(case.sigma_px))
+        .without_landmarks();
+    let s = simulate_tracks(&scenario).unwrap();
+    let pitches = group_pitches(&s.rig, &s.tracks);
+    let found = hypotheses(&s.rig, &pitches, &InitialOptions::default()).unwrap();
+    let best = &found[0];
+    let mut worst = [0f64; 5];
+    let (first, first_true) = (best.poses[0].unwrap(), s.truth.cameras[0].camera_from_world);
+    let up = first.rotation * nalgebra::Vector3::z();
+    worst[3] = up
+        .angle(&(first_true.rotation * nalgebra::Vector3::z()))
+        .to_degrees();
+    for (i, camera) in s.truth.cameras.iter().enumerate().skip(1) {
+        let relative = best.poses[i].unwrap().compose(&first.inverse());
+        let truth = camera.camera_from_world.compose(&first_true.inverse());
+        let delay = (best.capture_delay_s[i] - camera.capture_delay_s).abs() * camera.frame_rate_hz;
+        let turn = (relative.rotation.inverse() * truth.rotation)
+            .angle()
+            .to_degrees();
+        let direction = relative.translation_m.angle(&truth.translation_m).to_degrees();
+        let scale = (relative.translation_m.norm() / truth.translation_m.norm())
+            .ln()
+            .abs();
+        for (w, e) in worst.iter_mut().zip([delay, turn, direction, 0.0, scale]) {
+            *w = w.max(e);
+        }
+    }
+    worst
+}
+
+#[test]
+fn without_landmarks_the_ball_alone_places_the_cameras() {
+    let seeds = std::env::var("PITCHD_SEEDS")
+        .ok()
+        .and_then(|n| n.parse().ok())
+        .map_or(0..1, |n| 0..n);
+    for (name, layout) in [
+        ("opposite", Layout::TwoOpposite),
+        ("same side", Layout::TwoSameSide),
+        ("three", Layout::Three),
+    ] {
+        for sigma_px in [0.15, 0.5] {
+            for delays_frames in [&[1.3, -1.7][..], &[-28.0, 29.0][..]] {
+                let case = Case {
+                    layout,
+                    delays_frames,
+                    sigma_px,
+                    basin_frames: 0.3,
+                };
+                let mut worst = [0f64; 5];
+                let (mut right, mut count) = (0, 0);
+                let started = std::time::Instant::now();
+                for seed in seeds.clone() {
+                    let e = errors_without_landmarks(&case, seed);
+                    for (w, e) in worst.iter_mut().zip(e) {
+                        *w = w.max(e);
+                    }
+                    count += 1;
+                    if e[0] < 0.3 && e[1] < 1.0 && e[2] < 1.0 {
+                        right += 1;
+                    } else {
+                        println!("{name} {sigma_px} px seed {seed}: {e:.3?}");
+                    }
+                }
+                println!(
+                    "no landmarks, {name} {sigma_px} px {delays_frames:?}: {right}/{count} worst {worst:.3?}, {:.2} s each",
+                    started.elapsed().as_secs_f64() / f64::from(count)
+                );
+                assert_eq!(right, count, "{name} {sigma_px}");
+            }
+        }
+    }
+}

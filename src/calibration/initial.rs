@@ -3,9 +3,11 @@
 
 use super::curves::Curves;
 use super::delay_search::{delay_window, search_delay, skew_matters};
+use super::metric::orthonormal;
 use super::path::PathPrior;
-use super::polish::{Clock, Evidence, State, Unknown, WithSkew};
+use super::polish::{Clock, Evidence, State};
 use super::resection::{LANDMARKS_NEEDED, Resection, Sighting, resect_camera};
+use super::self_calibration::{add_the_rest, from_ball, make_metric, make_metric_by_anchor, polish_all};
 use super::{CalibrationError, InitialEstimate, PitchTracks};
 use crate::scene::{Rig, WorldFrame};
 
@@ -40,6 +42,9 @@ struct Draft {
     /// Which alternative of each camera's resection it uses.
     sightings: Vec<Vec<Sighting>>,
     cost: f64,
+    world: WorldFrame,
+    score_px: f64,
+    notes: Vec<String>,
 }
 
 /// Ranked hypotheses, the best first; at least one.
@@ -71,19 +76,117 @@ pub fn hypotheses(
         .copied()
         .filter(|&c| !surveyed[c].is_empty())
         .collect();
-    let drafts = from_landmarks(rig, &curves, &surveyed, &posed);
-    let mut estimates: Vec<(f64, InitialEstimate)> = Vec::new();
-    for mut draft in drafts {
-        let mut evidence = evidence(rig, &curves, draft.sightings.clone());
-        polish(rig, &mut evidence, &mut draft, options.polish_steps);
-        estimates.push((draft.cost, publish(rig, &evidence, &draft.state, &notes)));
+    let mut drafts = if posed.len() >= 2 {
+        landmark_drafts(rig, &curves, &surveyed, (&posed, options))?
+    } else {
+        ball_drafts(rig, &curves, &surveyed, (&seen, &posed, options))?
+    };
+    drafts.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    drafts.truncate(options.hypotheses.max(1));
+    if drafts.is_empty() {
+        let best = seen
+            .iter()
+            .flat_map(|&a| seen.iter().map(move |&b| (a, b)))
+            .filter(|(a, b)| a != b);
+        let found = best.map(|(a, b)| curves.common(a, b).len()).max().unwrap_or(0);
+        return Err(CalibrationError::TooFewPitches {
+            found,
+            needed: found.max(1),
+        });
     }
-    estimates.sort_by(|a, b| a.0.total_cmp(&b.0));
-    estimates.truncate(options.hypotheses.max(1));
-    if estimates.is_empty() {
-        return Err(CalibrationError::TooFewPitches { found: 0, needed: 1 });
+    Ok(drafts.iter().map(|d| publish(rig, &curves, d, &notes)).collect())
+}
+
+/// Two or more cameras with landmark poses; the others by resection from the ball's paths.
+fn landmark_drafts(
+    rig: &Rig,
+    curves: &Curves,
+    surveyed: &[Vec<Resection>],
+    (posed, options): (&[usize], &InitialOptions),
+) -> Result<Vec<Draft>, CalibrationError> {
+    let mut done = Vec::new();
+    for draft in from_landmarks(rig, curves, surveyed, posed) {
+        let mut evidence = evidence(rig, curves, draft.sightings.clone());
+        let start = vec![(draft.cost, draft.state.clone())];
+        for (_, state) in add_the_rest(rig, &evidence, start, (usize::MAX, 0))? {
+            let mut next = Draft {
+                state,
+                ..draft.clone()
+            };
+            evidence.slack_px = 0.1;
+            next.cost = polish_all(rig, &evidence, &mut next.state, (&[], options.polish_steps));
+            next.score_px = evidence.score_px(&next.state);
+            done.push(next);
+        }
     }
-    Ok(estimates.into_iter().map(|(_, e)| e).collect())
+    Ok(done)
+}
+
+/// No camera, or one, with a landmark pose: relative poses from the ball, then metres.
+fn ball_drafts(
+    rig: &Rig,
+    curves: &Curves,
+    surveyed: &[Vec<Resection>],
+    (seen, posed, options): (&[usize], &[usize], &InitialOptions),
+) -> Result<Vec<Draft>, CalibrationError> {
+    let none = vec![Vec::new(); rig.cameras.len()];
+    let anchor = match posed.first() {
+        Some(&camera) => camera,
+        None if seen.contains(&rig.reference) => rig.reference,
+        None => seen[0],
+    };
+    let mut evidence_ball = evidence(rig, curves, none.clone());
+    evidence_ball.slack_px = 0.05;
+    let found = from_ball(
+        rig,
+        &mut evidence_ball,
+        anchor,
+        (options.seed, options.polish_steps),
+    )?;
+    let mut drafts = Vec::new();
+    for scored in found {
+        let score_px = evidence_ball.score_px(&scored.1);
+        if posed.is_empty() {
+            let mut scored = scored;
+            let (scale, surveyed) = make_metric(rig, &evidence_ball, &mut scored);
+            let world = if surveyed {
+                WorldFrame::HomePlate
+            } else {
+                WorldFrame::ReferenceCamera
+            };
+            let note = format!("no landmarks: {scale}");
+            drafts.push(Draft {
+                state: scored.1,
+                sightings: none.clone(),
+                cost: scored.0,
+                world,
+                score_px,
+                notes: vec![note],
+            });
+            continue;
+        }
+        for resection in &surveyed[anchor] {
+            let mut scored = scored.clone();
+            make_metric_by_anchor(rig, &evidence_ball, &mut scored, (anchor, &resection.pose));
+            let mut sightings = none.clone();
+            sightings[anchor] = sightings_of(rig, anchor, resection);
+            let mut metric = evidence(rig, curves, sightings.clone());
+            metric.slack_px = 0.1;
+            let polished = polish_all(rig, &metric, &mut scored.1, (&[], options.polish_steps));
+            drafts.push(Draft {
+                score_px: metric.score_px(&scored.1),
+                cost: polished,
+                state: scored.1,
+                sightings,
+                world: WorldFrame::HomePlate,
+                notes: vec![format!(
+                    "only camera {} has landmarks: physics fixes the scale",
+                    rig.cameras[anchor].id
+                )],
+            });
+        }
+    }
+    Ok(drafts)
 }
 
 /// Landmark poses of the cameras that have enough; what had to be left out goes to `notes`.
@@ -211,6 +314,9 @@ fn with_delays(
         state: start,
         sightings: evidence.sightings.clone(),
         cost: 0.0,
+        world: WorldFrame::HomePlate,
+        score_px: f64::INFINITY,
+        notes: Vec::new(),
     }];
     let mut open: Vec<usize> = posed.iter().copied().filter(|&c| c != first).collect();
     while !open.is_empty() {
@@ -239,8 +345,8 @@ fn with_delays(
                 state.clocks[camera] = candidate.clock;
                 next.push(Draft {
                     state,
-                    sightings: draft.sightings.clone(),
                     cost: candidate.cost,
+                    ..draft.clone()
                 });
             }
         }
@@ -257,58 +363,42 @@ fn with_delays(
     drafts
 }
 
-/// Brings a draft near its minimum and states its cost there.
-fn polish(rig: &Rig, evidence: &mut Evidence, draft: &mut Draft, steps: usize) {
-    let placed = Evidence::placed(&draft.state);
-    let reference = if placed.contains(&rig.reference) {
-        rig.reference
-    } else {
-        placed[0]
-    };
-    let with_skew = placed
-        .iter()
-        .any(|&c| skew_matters(rig, evidence, c) == WithSkew::Yes);
-    let with_skew = if with_skew { WithSkew::Yes } else { WithSkew::No };
-    let unknowns = Unknown::all(&draft.state, reference, &[], with_skew);
-    evidence.slack_px = 0.1;
-    draft.cost = evidence.polish(&mut draft.state, &unknowns, steps);
-}
-
 /// States delays against the rig's reference camera and in the terms of [`InitialEstimate`].
-fn publish(rig: &Rig, evidence: &Evidence, state: &State, notes: &[String]) -> InitialEstimate {
-    let epoch_ns = evidence.curves.epoch_ns;
-    let score_px = evidence.score_px(state);
+fn publish(rig: &Rig, curves: &Curves, draft: &Draft, notes: &[String]) -> InitialEstimate {
+    let state = &draft.state;
     let zero = state.clocks[rig.reference];
     let reference_placed = state.poses[rig.reference].is_some();
     let mut notes = notes.to_vec();
+    notes.extend(draft.notes.iter().cloned());
     let mut estimate = InitialEstimate {
-        poses: state.poses.clone(),
+        poses: state.poses.iter().map(|p| p.as_ref().map(orthonormal)).collect(),
         capture_delay_s: Vec::new(),
         clock_skew_ppm: Vec::new(),
         skew_epoch_ns: Vec::new(),
-        world: WorldFrame::HomePlate,
-        score_px,
+        world: draft.world,
+        score_px: draft.score_px,
         notes: Vec::new(),
     };
     for (c, clock) in state.clocks.iter().enumerate() {
         if state.poses[c].is_none() {
             notes.push(format!("camera {} could not be placed", rig.cameras[c].id));
         }
-        // true_ref = stamped_ref − zero.delay …: the reference's own delay is moved to all others.
+        // The search runs on the time of one camera; delays are told against the reference's.
         let delay_s = if reference_placed {
             clock.delay_s - zero.delay_s
         } else {
             clock.delay_s
         };
+        let is_reference = c == rig.reference;
         estimate
             .capture_delay_s
-            .push(if c == rig.reference { 0.0 } else { delay_s });
+            .push(if is_reference { 0.0 } else { delay_s });
         estimate
             .clock_skew_ppm
-            .push(if c == rig.reference { 0.0 } else { 1e6 * clock.skew });
+            .push(if is_reference { 0.0 } else { 1e6 * clock.skew });
         estimate
             .skew_epoch_ns
-            .push(epoch_ns + (clock.zero_s * 1e9).round() as i64);
+            .push(curves.epoch_ns + (clock.zero_s * 1e9).round() as i64);
     }
     estimate.notes = notes;
     estimate

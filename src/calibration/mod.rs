@@ -6,11 +6,14 @@ mod delay_search;
 pub mod error;
 pub mod initial;
 pub mod joint;
+mod metric;
 pub mod path;
 mod polish;
 pub mod recipe;
 pub mod relative_pose;
 pub mod resection;
+mod self_calibration;
+mod two_view;
 
 pub use error::CalibrationError;
 

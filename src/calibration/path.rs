@@ -146,6 +146,11 @@ impl Path {
         [a.x, a.y, a.z, j[0], j[1], j[2]]
     }
 
+    /// Whether a time lies within the rays' time.
+    pub fn covers(&self, time_s: f64) -> bool {
+        (time_s - self.middle_s).abs() <= self.half_s
+    }
+
     /// Middle of the rays' time.
     pub fn middle_s(&self) -> f64 {
         self.middle_s

@@ -158,7 +158,7 @@ fn fit_all(
             continue;
         };
         let known = |f: &Resection| {
-            f.pose.rotation.angle_to(&fit.pose.rotation) < 2e-3
+            (f.pose.rotation.matrix() - fit.pose.rotation.matrix()).norm() < 3e-3
                 && (f.chi2 - fit.chi2).abs() <= 1e-2 * (1.0 + fit.chi2)
         };
         if !fits.iter().any(known) {
