@@ -31,7 +31,10 @@ pub struct EvaluateArgs {
 
 /// Every other score; one file each.
 #[derive(Debug, Subcommand)]
-pub enum Score {}
+pub enum Score {
+    /// The Cramér–Rao bound of a scenario, and the estimator's efficiency over seeds.
+    Bound(super::evaluate_bound::BoundArgs),
+}
 
 /// Runs the score.
 ///
@@ -39,7 +42,9 @@ pub enum Score {}
 /// Unreadable results or truth.
 pub fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     if let Some(score) = &args.score {
-        match *score {}
+        return match score {
+            Score::Bound(args) => super::evaluate_bound::run(args),
+        };
     }
     let (Some(result), Some(truth)) = (&args.result, &args.truth) else {
         anyhow::bail!("evaluate needs a results folder and its truth: pitchd evaluate RESULT TRUTH");

@@ -1,6 +1,7 @@
 //! The command line: one file a subcommand; no mathematics.
 
 mod evaluate;
+mod evaluate_bound;
 mod export;
 mod import;
 mod simulate;

@@ -4,6 +4,7 @@
 //! `problem` (unknowns and state) and `camera_terms` (landmarks, positions, gauge) make the equations that
 //! `solver` descends; `noise` and `wrong_tracks` decide what to believe; `publish` states the uncertainty.
 
+mod bound;
 mod camera_terms;
 mod noise;
 mod problem;
@@ -19,6 +20,7 @@ use crate::flight::equations::Loss;
 use crate::flight::solve::choose_level;
 use crate::scene::{Calibration, CameraId, ParameterKind, Rig};
 
+pub use bound::{Bound, BoundOptions, CameraBound, Clocks, PitchBound, bound};
 use noise::KEPT;
 use problem::{JointProblem, JointState};
 
