@@ -76,6 +76,17 @@ pub enum CalibrationError {
         /// Why.
         reason: String,
     },
+    /// A free motion that the sightings do not share.
+    #[error(
+        "camera {camera} and the others see no common motion near the rough offsets \
+         ({:.0} % of the points explained)", 100.0 * explained_share
+    )]
+    NoCommonMotion {
+        /// The camera that nothing connects, or the reference.
+        camera: CameraId,
+        /// Share of the points that the best motion explains.
+        explained_share: f64,
+    },
     /// A solver stopped without an answer.
     #[error("{stage} did not converge: {reason}")]
     NotConverged {

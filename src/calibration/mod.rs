@@ -4,6 +4,7 @@ pub mod association;
 pub mod curves;
 mod delay_search;
 pub mod error;
+pub mod free;
 pub mod initial;
 pub mod joint;
 mod metric;

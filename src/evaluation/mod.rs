@@ -4,3 +4,8 @@ pub mod efficiency;
 mod pitches;
 
 pub use pitches::{AxisScore, DelayScore, PitchScore, PitchScoreError, score_pitches};
+mod trajectory;
+
+pub use trajectory::{
+    TimedPosition, TrajectoryScore, TrajectoryScoreError, TrajectoryScoring, score_trajectory,
+};

@@ -1,0 +1,294 @@
+//! `motion = "free"`: anything bright that moves smoothly calibrates the rig.
+//!
+//! One robust maximum-likelihood problem over poses, delays, clock skews, rolling-shutter readouts and one
+//! cubic B-spline of the motion, every sighting at its own true exposure midpoint. What it starts from:
+//!
+//! ```text
+//! paths ─► pairs (offset search × five-point) ─► seed ─► camera by camera ─► all together, finer ─► answer
+//! ```
+
+mod arrow;
+mod finish;
+mod grow;
+mod outcome;
+mod pair;
+mod path;
+mod problem;
+mod resect;
+mod solver;
+mod spline;
+mod support;
+#[cfg(test)]
+mod synthetic;
+
+use nalgebra::Vector2;
+
+use super::CalibrationError;
+use crate::scene::{Calibration, CameraId, Rig, RollingShutter, Track};
+use finish::finish;
+use grow::{Grown, Session};
+use path::Path;
+use problem::{Distance, Sighting, View};
+
+/// What the estimator of a free motion takes for granted.
+#[derive(Debug, Clone)]
+pub struct FreeOptions {
+    /// Offsets are searched this far about the rough ones, seconds.
+    pub shift_range_s: f64,
+    /// Step of that search, seconds.
+    pub shift_step_s: f64,
+    /// Five-point samples at every offset.
+    pub five_point_samples: usize,
+    /// Knot spacing of the motion, seconds; `None`: from the data.
+    pub knot_s: Option<f64>,
+    /// 1σ of the clocks' rate errors, ppm.
+    pub skew_sigma_ppm: f64,
+    /// 1σ of an unknown rolling-shutter readout about zero, seconds.
+    pub readout_sigma_s: f64,
+    /// Degrees of freedom of Student's t of the detections' errors.
+    pub tail: f64,
+    /// Smallest share of the sightings (while two cameras see) that one motion must explain.
+    pub explained_share_min: f64,
+    /// Seed of the random samples.
+    pub seed: u64,
+}
+
+impl Default for FreeOptions {
+    fn default() -> Self {
+        Self {
+            shift_range_s: 2.0,
+            shift_step_s: 0.2,
+            five_point_samples: 25,
+            knot_s: None,
+            skew_sigma_ppm: 500.0,
+            readout_sigma_s: 0.03,
+            tail: 4.0,
+            explained_share_min: 0.5,
+            seed: 1,
+        }
+    }
+}
+
+/// A point of the motion (`trajectory.csv`).
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrajectorySample {
+    /// Reference camera's true time, nanoseconds.
+    pub time_ns: i64,
+    /// World "reference_camera": metres where a distance fixes the scale, else first baselines.
+    pub position_m: [f64; 3],
+    /// 1σ per axis, in the same units.
+    pub sigma_m: [f64; 3],
+    /// Cameras that see it at that time.
+    pub cameras: usize,
+}
+
+/// How well one camera fits.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraFit {
+    /// Whose.
+    pub camera: CameraId,
+    /// Sightings while two cameras see, within five sigma.
+    pub kept: usize,
+    /// The others of them.
+    pub outliers: usize,
+}
+
+/// What the estimate came to.
+#[derive(Debug, Clone)]
+pub struct FreeOutcome {
+    /// Poses, delays, skews, readouts and their covariance; world "reference_camera".
+    pub calibration: Calibration,
+    /// The motion at the reference camera's frames while at least two cameras see it.
+    pub trajectory: Vec<TrajectorySample>,
+    /// Fit of every calibrated camera.
+    pub cameras: Vec<CameraFit>,
+    /// Seconds during which at least two calibrated cameras see the thing.
+    pub shared_s: f64,
+    /// Share of the sightings during that time which the motion explains.
+    pub explained_share: f64,
+}
+
+/// Fewest sightings with which a camera takes part.
+const FEWEST_SIGHTINGS: usize = 50;
+/// Seeds tried where the first leaves doubt.
+const SEEDS: usize = 6;
+
+/// Calibrates a rig from the 2-D tracks of one thing that moves smoothly.
+///
+/// `rig.cameras[..].time_offset_s` are rough (to about `shift_range_s`). Answers in the reference camera's
+/// axes and clock.
+///
+/// # Errors
+/// Typed, with numbers: too few cameras with tracks, no pair with a relative pose, the reference camera
+/// unconnected, or a motion that explains too few of the sightings.
+pub fn calibrate(
+    rig: &Rig,
+    tracks: &[Track],
+    options: &FreeOptions,
+) -> Result<FreeOutcome, CalibrationError> {
+    // 1. Sightings of every camera, and their smooth paths for the search.
+    let gathered = gather(rig, tracks, options)?;
+    let session = &gathered.session;
+    // 2. Relative pose and offset of every pair of cameras.
+    let edges = session.edges()?;
+    let reference = gathered.reference;
+    if edges.is_empty() {
+        return Err(CalibrationError::NoCommonMotion {
+            camera: rig.reference_camera().id.clone(),
+            explained_share: 0.0,
+        });
+    }
+    // 3. Grow a rig from the best pair, from others where that leaves doubt.
+    let mut best: Option<Grown> = None;
+    for seed in edges.iter().take(SEEDS) {
+        let Some(grown) = session.grow(seed, &edges)? else {
+            continue;
+        };
+        let connected = grown.state.cameras[reference].is_some();
+        let sure =
+            connected && grown.state.cameras.iter().all(Option::is_some) && grown.explained_share > 0.85;
+        if connected && best.as_ref().is_none_or(|b| grown.explained > b.explained) {
+            best = Some(grown);
+        }
+        if sure {
+            break;
+        }
+    }
+    let grown = best.ok_or_else(|| CalibrationError::NoCommonMotion {
+        camera: rig.reference_camera().id.clone(),
+        explained_share: 0.0,
+    })?;
+    // 4. Everything together, in the reference camera's world and clock.
+    let solution = finish(session, grown, (reference, &gathered.distances))?;
+    // 5. The answer, or why there is none.
+    outcome::outcome(rig, &gathered, &solution)
+}
+
+/// What the stages work on, with the way back to the rig.
+struct Gathered<'a> {
+    session: Session<'a>,
+    /// Index in the rig of every view.
+    in_rig: Vec<usize>,
+    /// Index of the reference camera among the views.
+    reference: usize,
+    distances: Vec<Distance>,
+    epoch_ns: i64,
+    warnings: Vec<String>,
+}
+
+fn gather<'a>(
+    rig: &Rig,
+    tracks: &[Track],
+    options: &'a FreeOptions,
+) -> Result<Gathered<'a>, CalibrationError> {
+    let epoch_ns = tracks
+        .iter()
+        .filter(|t| t.camera == rig.reference_camera().id)
+        .filter_map(|t| t.points.first().map(|p| p.stamped.nanos()))
+        .min()
+        .ok_or(CalibrationError::NoTracks)?;
+    let mut session = Session {
+        views: vec![],
+        paths: vec![],
+        offsets_s: vec![],
+        shutters: vec![],
+        focal_sigma: vec![],
+        options,
+    };
+    let (mut in_rig, mut warnings) = (vec![], vec![]);
+    for (index, setup) in rig.cameras.iter().enumerate() {
+        let mut sightings: Vec<Sighting> = tracks
+            .iter()
+            .filter(|t| t.camera == setup.id)
+            .flat_map(|t| &t.points)
+            .map(|p| Sighting {
+                stamped_s: p.stamped.seconds_since(epoch_ns),
+                pixel_px: Vector2::new(p.pixel.x, p.pixel.y),
+                sigma_px: p
+                    .covariance_px2
+                    .map_or(1.0, |c| (0.5 * c.trace()).sqrt())
+                    .max(1e-3),
+            })
+            .filter(|s| s.pixel_px.iter().all(|v| v.is_finite()))
+            .collect();
+        sightings.sort_by(|a, b| a.stamped_s.total_cmp(&b.stamped_s));
+        if sightings.len() < FEWEST_SIGHTINGS {
+            warnings.push(format!(
+                "camera {}: {} points, left out",
+                setup.id,
+                sightings.len()
+            ));
+            continue;
+        }
+        let view = View {
+            epoch_s: sightings[sightings.len() / 2].stamped_s,
+            sightings,
+            height_px: f64::from(setup.height_px.max(1)),
+            lens: setup.intrinsics,
+        };
+        let offset_s = setup.time_offset_s.unwrap_or(0.0);
+        session.paths.push(Path::new(&view, offset_s));
+        session.views.push(view);
+        session.offsets_s.push(offset_s);
+        session.shutters.push(setup.rolling_shutter);
+        session.focal_sigma.push(setup.focal_sigma_relative);
+        in_rig.push(index);
+    }
+    let reference =
+        in_rig
+            .iter()
+            .position(|&k| k == rig.reference)
+            .ok_or_else(|| CalibrationError::NoCommonMotion {
+                camera: rig.reference_camera().id.clone(),
+                explained_share: 0.0,
+            })?;
+    if in_rig.len() < 2 {
+        return Err(CalibrationError::OneCamera {
+            camera: rig.reference_camera().id.clone(),
+        });
+    }
+    let distances = distances(rig, &in_rig);
+    for shutter in &mut session.shutters {
+        if *shutter == RollingShutter::Global {
+            *shutter = RollingShutter::ReadoutSeconds(0.0);
+        }
+    }
+    Ok(Gathered {
+        session,
+        in_rig,
+        reference,
+        distances,
+        epoch_ns,
+        warnings,
+    })
+}
+
+/// Measured distances, and those between surveyed positions.
+fn distances(rig: &Rig, in_rig: &[usize]) -> Vec<Distance> {
+    let at = |id: &CameraId| in_rig.iter().position(|&k| rig.cameras[k].id == *id);
+    let mut found: Vec<Distance> = rig
+        .distances
+        .iter()
+        .filter_map(|d| {
+            Some(Distance {
+                cameras: (at(&d.between.0)?, at(&d.between.1)?),
+                distance: d.distance_m,
+                sigma: d.sigma_m.max(1e-6 * d.distance_m),
+            })
+        })
+        .collect();
+    for (a, &in_a) in in_rig.iter().enumerate() {
+        for (b, &in_b) in in_rig.iter().enumerate().skip(a + 1) {
+            if let (Some(pa), Some(pb)) = (rig.cameras[in_a].position, rig.cameras[in_b].position) {
+                let distance = (pa.0 - pb.0).norm();
+                found.push(Distance {
+                    cameras: (a, b),
+                    distance,
+                    sigma: pa.1.hypot(pb.1).max(1e-6 * distance),
+                });
+            }
+        }
+    }
+    found.retain(|d| d.distance > 0.0);
+    found
+}
