@@ -141,11 +141,12 @@ fn refined(
         let centre_s = best.shift_s;
         let mut moved = false;
         for shift_s in [centre_s - step_s, centre_s + step_s] {
-            if let Some(score) = at_shift(estimate, truth, shift_s, scoring.gap_s) {
-                if score.rows >= needed && score.relative() < best.relative() {
-                    best = score;
-                    moved = true;
-                }
+            if let Some(score) = at_shift(estimate, truth, shift_s, scoring.gap_s)
+                && score.rows >= needed
+                && score.relative() < best.relative()
+            {
+                best = score;
+                moved = true;
             }
         }
         if !moved {

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 
 use super::grow::{Grown, Phase, Session};
 use super::problem::{CameraState, Distance, Problem, State, View};
-use super::solver::{Held, fit_spline, minimise, update_scales};
+use super::solver::{Held, fit_spline, minimise, redundancy, update_scales};
 use super::spline::{ORDER, Spline};
 use super::support::Support;
 use crate::calibration::CalibrationError;
@@ -20,7 +20,8 @@ pub(super) struct Solution {
     pub columns: Vec<super::problem::Column>,
     pub covariance: DMatrix<f64>,
     pub condition: f64,
-    pub tail: f64,
+    /// Factor by which lasting errors widen the covariance.
+    pub redundancy: f64,
     held: Held,
     /// A⁻¹B, row by row.
     response: Vec<f64>,
@@ -39,10 +40,10 @@ fn stuck(reason: &str) -> CalibrationError {
 /// Turns a grown rig into the final solution. `distances` fix the scale; without them the first baseline is 1.
 pub(super) fn finish(
     session: &Session,
-    grown: Grown,
+    grown: &Grown,
     (reference, distances): (usize, &[Distance]),
 ) -> Result<Solution, CalibrationError> {
-    let mut state = grown.state;
+    let mut state = grown.state.clone();
     let scale = regauge(session, &mut state, (reference, distances))
         .ok_or_else(|| stuck("the reference camera is not among the calibrated ones"))?;
     let mut precision = grown.jerk_precision / (scale * scale);
@@ -131,6 +132,7 @@ fn refined(
         let before = problem.jerk_precision;
         let cost = minimise(&problem, &mut state, 10, 1e-7);
         update_scales(&mut problem, &mut state).ok_or_else(|| stuck("the normal matrix is singular"))?;
+        problem.redundancy = redundancy(&problem, &state);
         let settled = (problem.cost(&state) - cost).abs() < 1e-3 * cost.abs();
         if settled && (problem.jerk_precision / before).ln().abs() < 0.02 {
             break;
@@ -143,14 +145,15 @@ fn refined(
         .ok_or_else(|| stuck("the normal matrix is singular"))?;
     let Problem {
         columns,
-        tail,
+        redundancy,
         jerk_precision,
         ..
     } = problem;
     let support = Support::new(&session.views, &state);
     Ok((
         Solution {
-            covariance: factor.border_covariance(),
+            covariance: factor.border_covariance() * redundancy,
+            redundancy,
             condition: factor.border_condition(),
             held: Held::new(&factor),
             response: factor.response(),
@@ -158,7 +161,6 @@ fn refined(
             views,
             support,
             columns,
-            tail,
         },
         jerk_precision,
     ))

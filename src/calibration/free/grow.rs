@@ -48,10 +48,7 @@ pub(super) struct Grown {
     pub jerk_precision: f64,
     /// The camera whose pose and clock are held.
     pub anchor: usize,
-    /// Sightings explained to within 4 px.
-    pub explained: usize,
-    /// The same over the calibrated cameras' sightings while two of them see.
-    pub explained_share: f64,
+    pub explained: Explained,
 }
 
 /// Knot spacing while the rig grows, seconds.
@@ -89,7 +86,8 @@ impl Session<'_> {
             skew_ppm: 0.0,
             readout_s: match self.shutters[camera] {
                 RollingShutter::ReadoutSeconds(readout_s) => readout_s,
-                RollingShutter::Estimate | RollingShutter::Global => 0.0,
+                RollingShutter::Estimate => self.options.readout_mean_s,
+                RollingShutter::Global => 0.0,
             },
             lens: view.lens,
             noise: 2.0,
@@ -122,8 +120,15 @@ impl Session<'_> {
                 if self.shutters[camera] == RollingShutter::Estimate {
                     kinds.push(K::Readout);
                 }
+                let lens = &self.options.lens;
                 if self.focal_sigma[camera] > 0.0 {
                     kinds.push(K::FocalScale);
+                }
+                if lens.principal_px > 0.0 {
+                    kinds.extend([K::PrincipalX, K::PrincipalY]);
+                }
+                if lens.radial > 0.0 {
+                    kinds.extend([K::RadialK1, K::RadialK2]);
                 }
             }
             columns.extend(kinds.into_iter().map(|kind| Column { camera, kind }));
@@ -134,14 +139,15 @@ impl Session<'_> {
             distances: vec![],
             priors: Priors {
                 skew_ppm: self.options.skew_sigma_ppm,
-                readout_s: self.options.readout_sigma_s,
-                focal: self.focal_sigma.iter().copied().fold(1e-6, f64::max),
-                principal_px: 10.0,
-                radial: 0.02,
+                readout_s: (self.options.readout_mean_s, self.options.readout_sigma_s),
+                focal: self.focal_sigma.clone(),
+                principal_px: self.options.lens.principal_px,
+                radial: self.options.lens.radial,
             },
             jerk_precision: 1.0,
             acceleration_precision: 1e-9,
             tail: self.options.tail,
+            redundancy: 1.0,
         }
     }
 
@@ -215,13 +221,12 @@ impl Session<'_> {
             }
             precision = problem.jerk_precision;
         }
-        let (explained, explained_share) = self.explained(&state);
+        let explained = self.explained(&state);
         Some(Grown {
             state,
             jerk_precision: precision,
             anchor,
             explained,
-            explained_share,
         })
     }
 
@@ -345,22 +350,53 @@ impl Session<'_> {
         starts
     }
 
-    /// Sightings that the state explains to within 4 px, and their share while two cameras see.
-    fn explained(&self, state: &State) -> (usize, f64) {
+    /// What the state explains while two cameras see.
+    pub fn explained(&self, state: &State) -> Explained {
         let support = Support::new(&self.views, state);
-        let (mut close, mut all) = (0, 0);
-        for (view, camera) in support.restricted(&self.views, state).iter().zip(&state.cameras) {
-            let Some(camera) = camera else { continue };
-            all += view.sightings.len();
+        let mut explained = Explained {
+            sightings: 0,
+            shares: vec![None; self.views.len()],
+        };
+        for (index, view) in support.restricted(&self.views, state).iter().enumerate() {
+            let Some(camera) = &state.cameras[index] else {
+                continue;
+            };
+            let limit_px = EXPLAINED_PX.max(EXPLAINED_SCATTERS * self.paths[index].scatter_px);
             let fits = |s: &&super::problem::Sighting| {
                 view.predict(camera, &state.spline, s)
-                    .is_some_and(|p| p.residual_px.norm() < 4.0)
+                    .is_some_and(|p| p.residual_px.norm() < limit_px)
             };
-            close += view.sightings.iter().filter(fits).count();
+            let close = view.sightings.iter().filter(fits).count();
+            explained.sightings += close;
+            explained.shares[index] = Some(close as f64 / view.sightings.len().max(1) as f64);
         }
-        (close, close as f64 / all.max(1) as f64)
+        explained
     }
 }
+
+/// How much of what the cameras saw one motion explains.
+#[derive(Debug, Clone)]
+pub(super) struct Explained {
+    /// Sightings of all cameras.
+    pub sightings: usize,
+    /// Share of every calibrated camera's own sightings. One camera alone can always be explained by a free
+    /// curve: only the least share tells.
+    pub shares: Vec<Option<f64>>,
+}
+
+impl Explained {
+    /// The calibrated camera that is explained least, and its share.
+    pub fn least(&self) -> Option<(usize, f64)> {
+        let shares = self.shares.iter().enumerate();
+        shares
+            .filter_map(|(camera, share)| Some((camera, (*share)?)))
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+}
+
+/// A sighting this close to the prediction is explained, pixels; and in medians of the camera's own scatter.
+const EXPLAINED_PX: f64 = 4.0;
+const EXPLAINED_SCATTERS: f64 = 5.0;
 
 /// Which unknowns are free.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -20,6 +20,8 @@ mod spline;
 mod support;
 #[cfg(test)]
 mod synthetic;
+#[cfg(test)]
+mod tests;
 
 use nalgebra::Vector2;
 
@@ -43,14 +45,29 @@ pub struct FreeOptions {
     pub knot_s: Option<f64>,
     /// 1σ of the clocks' rate errors, ppm.
     pub skew_sigma_ppm: f64,
-    /// 1σ of an unknown rolling-shutter readout about zero, seconds.
+    /// Mean of an unknown rolling-shutter readout, seconds.
+    pub readout_mean_s: f64,
+    /// 1σ of it, seconds.
     pub readout_sigma_s: f64,
+    /// How well the rig's lenses are known: what is left of a good board calibration.
+    pub lens: LensSigma,
     /// Degrees of freedom of Student's t of the detections' errors.
     pub tail: f64,
-    /// Smallest share of the sightings (while two cameras see) that one motion must explain.
+    /// Smallest share of every camera's sightings (while two cameras see) that one motion must explain.
     pub explained_share_min: f64,
     /// Seed of the random samples.
     pub seed: u64,
+}
+
+/// 1σ of what a lens calibration leaves; 0 holds the value as it stands in the rig.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LensSigma {
+    /// Focal length, relative; a camera's own `focal_sigma_relative` goes before it.
+    pub focal_relative: f64,
+    /// Principal point, pixels per axis.
+    pub principal_px: f64,
+    /// k1 and k2.
+    pub radial: f64,
 }
 
 impl Default for FreeOptions {
@@ -60,8 +77,14 @@ impl Default for FreeOptions {
             shift_step_s: 0.2,
             five_point_samples: 25,
             knot_s: None,
-            skew_sigma_ppm: 500.0,
-            readout_sigma_s: 0.03,
+            skew_sigma_ppm: 5000.0,
+            readout_mean_s: 0.015,
+            readout_sigma_s: 0.01,
+            lens: LensSigma {
+                focal_relative: 0.005,
+                principal_px: 0.0,
+                radial: 0.0,
+            },
             tail: 4.0,
             explained_share_min: 0.5,
             seed: 1,
@@ -104,7 +127,7 @@ pub struct FreeOutcome {
     pub cameras: Vec<CameraFit>,
     /// Seconds during which at least two calibrated cameras see the thing.
     pub shared_s: f64,
-    /// Share of the sightings during that time which the motion explains.
+    /// Share of the sightings during that time which the motion explains, of the camera that fits worst.
     pub explained_share: f64,
 }
 
@@ -145,23 +168,43 @@ pub fn calibrate(
             continue;
         };
         let connected = grown.state.cameras[reference].is_some();
-        let sure =
-            connected && grown.state.cameras.iter().all(Option::is_some) && grown.explained_share > 0.85;
-        if connected && best.as_ref().is_none_or(|b| grown.explained > b.explained) {
+        let sure = connected
+            && grown.state.cameras.iter().all(Option::is_some)
+            && grown.explained.least().is_some_and(|(_, share)| share > 0.8);
+        if connected
+            && best
+                .as_ref()
+                .is_none_or(|b| grown.explained.sightings > b.explained.sightings)
+        {
             best = Some(grown);
         }
         if sure {
             break;
         }
     }
-    let grown = best.ok_or_else(|| CalibrationError::NoCommonMotion {
+    let mut grown = best.ok_or_else(|| CalibrationError::NoCommonMotion {
         camera: rig.reference_camera().id.clone(),
         explained_share: 0.0,
     })?;
-    // 4. Everything together, in the reference camera's world and clock.
-    let solution = finish(session, grown, (reference, &gathered.distances))?;
-    // 5. The answer, or why there is none.
-    outcome::outcome(rig, &gathered, &solution)
+    // 4. Everything together, in the reference camera's world and clock; without the cameras that do not fit.
+    loop {
+        let solution = finish(session, &grown, (reference, &gathered.distances))?;
+        let Some((worst, explained_share)) = session.explained(&solution.state).least() else {
+            return Err(CalibrationError::NoTracks);
+        };
+        if explained_share >= options.explained_share_min {
+            // 5. The answer.
+            return Ok(outcome::outcome(rig, &gathered, &solution));
+        }
+        let remaining = grown.state.cameras.iter().flatten().count();
+        if worst == reference || remaining < 3 {
+            return Err(CalibrationError::NoCommonMotion {
+                camera: rig.cameras[gathered.in_rig[worst]].id.clone(),
+                explained_share,
+            });
+        }
+        grown.state.cameras[worst] = None;
+    }
 }
 
 /// What the stages work on, with the way back to the rig.
@@ -231,7 +274,10 @@ fn gather<'a>(
         session.views.push(view);
         session.offsets_s.push(offset_s);
         session.shutters.push(setup.rolling_shutter);
-        session.focal_sigma.push(setup.focal_sigma_relative);
+        session.focal_sigma.push(match setup.focal_sigma_relative {
+            given if given > 0.0 => given,
+            _ => options.lens.focal_relative,
+        });
         in_rig.push(index);
     }
     let reference =

@@ -4,7 +4,6 @@ use nalgebra::Point3;
 
 use super::finish::Solution;
 use super::{CameraFit, FreeOutcome, Gathered, TrajectorySample};
-use crate::calibration::CalibrationError;
 use crate::scene::{
     Calibration, CalibrationMethod, CameraCalibration, Parameter, ParameterKind, Rig, WorldFrame,
 };
@@ -13,11 +12,7 @@ use crate::time::NANOS_PER_SECOND;
 /// Delay sigma above which a warning says so, seconds.
 const WEAK_DELAY_S: f64 = 0.02;
 
-pub(super) fn outcome(
-    rig: &Rig,
-    gathered: &Gathered,
-    solution: &Solution,
-) -> Result<FreeOutcome, CalibrationError> {
+pub(super) fn outcome(rig: &Rig, gathered: &Gathered, solution: &Solution) -> FreeOutcome {
     let mut warnings = gathered.warnings.clone();
     let (mut cameras, mut fits) = (vec![], vec![]);
     for (index, &in_rig) in gathered.in_rig.iter().enumerate() {
@@ -60,15 +55,7 @@ pub(super) fn outcome(
             jitter_sigma_s: 0.0,
         });
     }
-    let kept: usize = fits.iter().map(|f| f.kept).sum();
-    let all: usize = fits.iter().map(|f| f.kept + f.outliers).sum();
-    let explained_share = kept as f64 / all.max(1) as f64;
-    if explained_share < gathered.session.options.explained_share_min {
-        return Err(CalibrationError::NoCommonMotion {
-            camera: rig.reference_camera().id.clone(),
-            explained_share,
-        });
-    }
+    let explained = gathered.session.explained(&solution.state);
     let calibration = Calibration {
         version: 1,
         method: CalibrationMethod::Joint,
@@ -89,18 +76,18 @@ pub(super) fn outcome(
             .map(|row| row.iter().copied().collect())
             .collect(),
         condition: solution.condition,
-        variance_factor: 1.0,
+        variance_factor: solution.redundancy,
         pitches_used: vec![],
         warnings,
         cost_trace: vec![],
     };
-    Ok(FreeOutcome {
+    FreeOutcome {
         trajectory: trajectory(rig, gathered, solution),
         calibration,
         cameras: fits,
         shared_s: solution.support.shared_s(),
-        explained_share,
-    })
+        explained_share: explained.least().map_or(0.0, |(_, share)| share),
+    }
 }
 
 /// The motion at the reference camera's frames, its own or (where it sees nothing) counted on from them.

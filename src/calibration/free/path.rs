@@ -25,6 +25,8 @@ pub(super) struct Path {
     knots: Vec<Knot>,
     /// Mean focal length, pixels: turns directions into pixels.
     pub focal_px: f64,
+    /// Median distance of a sighting from its local parabola, pixels.
+    pub scatter_px: f64,
 }
 
 impl Path {
@@ -40,6 +42,7 @@ impl Path {
             })
             .collect();
         let mut knots = Vec::with_capacity(points.len());
+        let mut distances_px = vec![];
         let (mut low, mut high) = (0, 0);
         for &(time_s, seen) in &points {
             while points[low].0 < time_s - WINDOW_S {
@@ -51,6 +54,7 @@ impl Path {
             let Some((direction, rate, scale)) = parabola(&points[low..high], time_s, focal_px) else {
                 continue;
             };
+            distances_px.push(focal_px * (seen - direction).norm());
             if (seen - direction).norm() < 4.0 * scale {
                 knots.push(Knot {
                     time_s,
@@ -59,7 +63,12 @@ impl Path {
                 });
             }
         }
-        Self { knots, focal_px }
+        distances_px.sort_by(f64::total_cmp);
+        Self {
+            knots,
+            focal_px,
+            scatter_px: distances_px.get(distances_px.len() / 2).copied().unwrap_or(0.0),
+        }
     }
 
     /// Direction at a time; `None` in gaps.

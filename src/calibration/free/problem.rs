@@ -68,11 +68,13 @@ pub(super) struct Distance {
 }
 
 /// 1σ of the Gaussian priors that keep weak unknowns in the range that hardware has.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) struct Priors {
     pub skew_ppm: f64,
-    pub readout_s: f64,
-    pub focal: f64,
+    /// Mean and 1σ.
+    pub readout_s: (f64, f64),
+    /// Relative, per camera.
+    pub focal: Vec<f64>,
     pub principal_px: f64,
     pub radial: f64,
 }
@@ -89,6 +91,9 @@ pub(super) struct Problem<'a> {
     pub acceleration_precision: f64,
     /// Degrees of freedom of Student's t of the residuals.
     pub tail: f64,
+    /// Sightings per independent sighting: errors that last (a lens, a lamp seen from the side) do not average
+    /// out. It weighs the cameras' priors, and widens the covariance.
+    pub redundancy: f64,
 }
 
 /// A sighting's prediction, linearised.
@@ -173,12 +178,12 @@ impl Prediction {
 
 impl CameraState {
     /// The value of a scalar unknown as an offset from its prior, and the prior's 1σ.
-    fn prior(&self, kind: ParameterKind, lens: &Intrinsics, priors: &Priors) -> Option<(f64, f64)> {
+    fn prior(&self, column: Column, lens: &Intrinsics, priors: &Priors) -> Option<(f64, f64)> {
         use ParameterKind as K;
-        match kind {
+        match column.kind {
             K::ClockSkew => Some((self.skew_ppm, priors.skew_ppm)),
-            K::Readout => Some((self.readout_s, priors.readout_s)),
-            K::FocalScale => Some(((self.lens.fx_px / lens.fx_px).ln(), priors.focal)),
+            K::Readout => Some((self.readout_s - priors.readout_s.0, priors.readout_s.1)),
+            K::FocalScale => Some(((self.lens.fx_px / lens.fx_px).ln(), priors.focal[column.camera])),
             K::PrincipalX => Some((self.lens.cx_px - lens.cx_px, priors.principal_px)),
             K::PrincipalY => Some((self.lens.cy_px - lens.cy_px, priors.principal_px)),
             K::RadialK1 => Some((self.lens.distortion[0] - lens.distortion[0], priors.radial)),
@@ -242,12 +247,12 @@ impl Problem<'_> {
         }
         for column in &self.columns {
             if let Some((offset, sigma)) = self.prior_of(state, *column) {
-                cost += 0.5 * (offset / sigma).powi(2);
+                cost += 0.5 * self.redundancy * (offset / sigma).powi(2);
             }
         }
         for d in &self.distances {
             if let Some((miss, _)) = distance_miss(state, d) {
-                cost += 0.5 * (miss / d.sigma).powi(2);
+                cost += 0.5 * self.redundancy * (miss / d.sigma).powi(2);
             }
         }
         cost + self.roughness_cost(&state.spline)
@@ -267,7 +272,7 @@ impl Problem<'_> {
 
     fn prior_of(&self, state: &State, column: Column) -> Option<(f64, f64)> {
         let camera = state.cameras[column.camera].as_ref()?;
-        camera.prior(column.kind, &self.views[column.camera].lens, &self.priors)
+        camera.prior(column, &self.views[column.camera].lens, &self.priors)
     }
 
     fn roughness_cost(&self, spline: &Spline) -> f64 {
@@ -326,7 +331,7 @@ impl Problem<'_> {
     fn add_priors(&self, state: &State, normal: &mut Normal, cost: &mut f64) {
         for (k, column) in self.columns.iter().enumerate() {
             if let Some((offset, sigma)) = self.prior_of(state, *column) {
-                let precision = 1.0 / (sigma * sigma);
+                let precision = self.redundancy / (sigma * sigma);
                 normal.border[(k, k)] += precision;
                 normal.border_gradient[k] += precision * offset;
                 *cost += 0.5 * precision * offset * offset;
@@ -336,7 +341,7 @@ impl Problem<'_> {
             let Some((miss, direction)) = distance_miss(state, d) else {
                 continue;
             };
-            let precision = 1.0 / (d.sigma * d.sigma);
+            let precision = self.redundancy / (d.sigma * d.sigma);
             *cost += 0.5 * precision * miss * miss;
             let mut row = vec![];
             for (k, column) in self.columns.iter().enumerate() {

@@ -191,10 +191,10 @@ pub(super) fn fit(view: &View, known: Known, start: &CameraState) -> Option<Fitt
             continue;
         }
         sightings += 1;
-        if let Some(p) = view.predict(&camera, known.spline, s) {
-            if p.residual_px.norm() < limit_px {
-                close.push(p.residual_px.norm());
-            }
+        if let Some(p) = view.predict(&camera, known.spline, s)
+            && p.residual_px.norm() < limit_px
+        {
+            close.push(p.residual_px.norm());
         }
     }
     close.sort_by(f64::total_cmp);

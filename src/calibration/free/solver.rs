@@ -1,6 +1,6 @@
 //! Robust Levenberg–Marquardt on the joint problem, and the noise and smoothness that the data ask for.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::arrow::{Banded, Factor, Normal};
 use super::problem::{CameraState, JERK, Problem, State, View};
@@ -75,17 +75,63 @@ pub(super) fn update_scales(problem: &mut Problem, state: &mut State) -> Option<
     let (normal, _) = problem.linearise(state);
     let held = Held::new(&normal.factor(0.0)?);
     for (index, view) in problem.views.iter().enumerate() {
-        let Some(camera) = &state.cameras[index] else {
+        let Some(camera) = &mut state.cameras[index] else {
             continue;
         };
         if let Some(noise) = noise_of(problem, view, (camera, &state.spline), &held) {
-            if let Some(camera) = &mut state.cameras[index] {
-                camera.noise = noise;
-            }
+            camera.noise = noise;
         }
     }
     update_jerk(problem, &state.spline, &held);
     Some(())
+}
+
+/// Length of the blocks over which lasting errors are told from fleeting ones, seconds.
+const BLOCK_S: f64 = 4.0;
+
+/// Sightings per independent sighting, at least 1: mean over blocks, cameras and axes of (Σr)²/Σr².
+pub(super) fn redundancy(problem: &Problem, state: &State) -> f64 {
+    let (mut ratio, mut blocks) = (0.0, 0.0);
+    for (view, camera) in problem.views.iter().zip(&state.cameras) {
+        let Some(camera) = camera else { continue };
+        let (mut sum, mut squares, mut count) = (Vector2::zeros(), Vector2::zeros(), 0);
+        let mut block = None;
+        for s in &view.sightings {
+            let Some(p) = view.predict(camera, &state.spline, s) else {
+                continue;
+            };
+            let own = Some((s.stamped_s / BLOCK_S).floor() as i64);
+            if own != block {
+                add_block(&mut ratio, &mut blocks, (&sum, &squares, count));
+                (sum, squares, count, block) = (Vector2::zeros(), Vector2::zeros(), 0, own);
+            }
+            let sigma = s.sigma_px * camera.noise;
+            let weight = problem.robust((p.residual_px / sigma).norm_squared()).1;
+            let r = p.residual_px * (weight / sigma);
+            sum += r;
+            squares += r.component_mul(&r);
+            count += 1;
+        }
+        add_block(&mut ratio, &mut blocks, (&sum, &squares, count));
+    }
+    if blocks > 0.0 {
+        f64::max(ratio / blocks, 1.0)
+    } else {
+        1.0
+    }
+}
+
+fn add_block(
+    ratio: &mut f64,
+    blocks: &mut f64,
+    (sum, squares, count): (&Vector2<f64>, &Vector2<f64>, usize),
+) {
+    if count >= 20 {
+        for axis in 0..2 {
+            *ratio += sum[axis].powi(2) / squares[axis].max(f64::MIN_POSITIVE);
+            *blocks += 1.0;
+        }
+    }
 }
 
 /// Standard deviation factor of one camera: weighted squares over the freedom the curve leaves.

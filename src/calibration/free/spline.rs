@@ -131,21 +131,6 @@ impl Spline {
         let basis = self.basis(t_s);
         self.combine(basis.first, &basis.rate)
     }
-
-    /// The same curve with other knots: exact to O(h⁴) of the finer curve.
-    pub fn resampled(&self, spans_s: &[(f64, f64)], knot_s: f64) -> Self {
-        let mut finer = Self::covering(spans_s, knot_s);
-        for piece in finer.pieces.clone() {
-            for k in 0..piece.segments + ORDER - 1 {
-                // Coefficient k is centred on knot k − 1; c = X − h²X″/6 is exact for cubics.
-                let t = piece.begin_s + (k as f64 - 1.0) * knot_s;
-                let x = self.position(t).coords;
-                let around = self.position(t - knot_s).coords + self.position(t + knot_s).coords;
-                finer.coefficients[piece.first + k] = x - (around - 2.0 * x) / 6.0;
-            }
-        }
-        finer
-    }
 }
 
 #[cfg(test)]
@@ -185,16 +170,6 @@ mod tests {
         }
         let x = s.position(1.3);
         assert!((x - Point3::new(1.3, 0.0, 1.0)).norm() < 1e-12);
-    }
-
-    #[test]
-    fn resampling_keeps_the_curve() {
-        let s = wavy();
-        let f = s.resampled(&[(-1.0, 3.0)], 0.125);
-        for k in 0..40 {
-            let t = -1.0 + 0.1 * f64::from(k);
-            assert!((s.position(t) - f.position(t)).norm() < 2e-3, "at {t}");
-        }
     }
 
     #[test]

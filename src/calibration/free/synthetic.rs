@@ -85,7 +85,7 @@ impl Scene {
                     rng.random_range(-1.0..1.0),
                     rng.random_range(-0.4..0.4),
                 ) * size;
-                (a, rate, rng.random_range(0.0..6.28))
+                (a, rate, rng.random_range(0.0..std::f64::consts::TAU))
             })
             .collect();
         let count = self.clocks.len();
@@ -257,13 +257,14 @@ pub(super) fn problem(views: &[View]) -> Problem<'_> {
         distances: vec![],
         priors: Priors {
             skew_ppm: 500.0,
-            readout_s: 0.03,
-            focal: 0.01,
+            readout_s: (0.0, 0.03),
+            focal: vec![0.01; views.len()],
             principal_px: 10.0,
             radial: 0.02,
         },
         jerk_precision: 0.01,
         acceleration_precision: 1e-6,
         tail: 4.0,
+        redundancy: 1.0,
     }
 }
