@@ -2,10 +2,9 @@
 
 pub mod efficiency;
 mod pitches;
-
-pub use pitches::{AxisScore, DelayScore, PitchScore, PitchScoreError, score_pitches};
 mod trajectory;
 
+pub use pitches::{AxisScore, DelayScore, PitchScore, PitchScoreError, score_pitches};
 pub use trajectory::{
     TimedPosition, TrajectoryScore, TrajectoryScoreError, TrajectoryScoring, score_trajectory,
 };
