@@ -78,6 +78,9 @@ pub struct AxisScore {
     pub coverage_95: f64,
 }
 
+/// Error and σ of one quantity of a pair; `None` where the truth has none.
+type ErrorAndSigma<'a> = dyn Fn(&Pitch, &PitchTruth) -> Option<(f64, f64)> + 'a;
+
 /// One camera's delay.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DelayScore {
@@ -145,7 +148,7 @@ fn compare(results: &Results, truth: &TruthFile) -> PitchScore {
             None => missed.push(true_pitch.pitch),
         }
     }
-    let axis = |name: &str, of: &dyn Fn(&Pitch, &PitchTruth) -> Option<(f64, f64)>| {
+    let axis = |name: &str, of: &ErrorAndSigma<'_>| {
         AxisScore::new(name, pairs.iter().filter_map(|(p, t)| of(p, t)).collect())
     };
     let axes = vec![
