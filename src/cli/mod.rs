@@ -4,7 +4,10 @@ mod evaluate;
 mod evaluate_bound;
 mod export;
 mod import;
+mod replay;
 mod simulate;
+mod solve;
+mod solving;
 
 use clap::{Parser, Subcommand};
 
@@ -36,8 +39,12 @@ pub enum Command {
     Export(export::ExportArgs),
     /// Build a session from folders of images or from video files.
     Import(import::ImportArgs),
+    /// Replay a recorded session through the live pipeline: pitches, calibration, report.
+    Replay(replay::ReplayArgs),
     /// Make a session from a scenario: stadium, cameras, pitches, noise; truth beside it.
     Simulate(simulate::SimulateArgs),
+    /// Solve 2-D tracks made by any program: delays, poses, pitches.
+    Solve(solve::SolveArgs),
 }
 
 impl Cli {
@@ -50,6 +57,8 @@ impl Cli {
             Command::Evaluate(args) => evaluate::run(args),
             Command::Export(args) => export::run(args),
             Command::Import(args) => import::run(args),
+            Command::Replay(args) => replay::run(args),
+            Command::Solve(args) => solve::run(args),
             Command::Simulate(args) => simulate::run(args),
         }
     }

@@ -1,0 +1,116 @@
+//! What `replay` and `solve` share: options of the estimator, and the results folder with what is printed.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::{Args, ValueEnum};
+
+use crate::daemon::batch::{Batch, BatchOptions, solve_tracks};
+use crate::export::report::ReportInput;
+use crate::export::statcast::PlatePlane;
+use crate::export::{results, table};
+use crate::scene::{Calibration, CalibrationMethod, Rig, Track};
+
+/// Estimator.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Method {
+    /// One maximum-likelihood problem over poses, delays and flights.
+    Joint,
+    /// The recipe of Kim et al. 2019.
+    Kim2019,
+}
+
+/// Plane at which the printed plate location is stated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Plane {
+    /// Front of the plate, y = 17/12 ft (Statcast through 2025).
+    Front,
+    /// Middle of the plate, y = 8.5/12 ft (Statcast from 2026).
+    Middle,
+}
+
+/// Options of every command that turns tracks into pitches.
+#[derive(Debug, Args)]
+pub struct SolvingArgs {
+    /// Solve with this calibration.json as it is; without it, calibrate from the pitches themselves.
+    #[arg(long, value_name = "FILE")]
+    pub calibration: Option<PathBuf>,
+    /// Estimator of the calibration.
+    #[arg(long, value_enum, default_value_t = Method::Joint)]
+    pub method: Method,
+    /// Plane of the plate location in the table and in pitches.csv.
+    #[arg(long, value_enum, default_value_t = Plane::Front)]
+    pub plane: Plane,
+    /// Folder for pitches.jsonl, pitches.csv, calibration.json, tracks/ and report.html.
+    #[arg(long, value_name = "DIR", default_value = "pitchd-results")]
+    pub out: PathBuf,
+    /// Print the pitches as JSON lines instead of the table.
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl SolvingArgs {
+    /// Solves the tracks, writes the results folder, prints the table and the warnings.
+    ///
+    /// # Errors
+    /// No calibration, or a folder that cannot be written.
+    pub fn solve_and_write(
+        &self,
+        (title, rig): (&str, &Rig),
+        tracks: &[Track],
+        facts: &[(String, String)],
+        earlier_warnings: Vec<String>,
+    ) -> anyhow::Result<()> {
+        let options = BatchOptions {
+            method: match self.method {
+                Method::Joint => CalibrationMethod::Joint,
+                Method::Kim2019 => CalibrationMethod::Kim2019,
+            },
+            calibration: self.calibration.as_deref().map(read_calibration).transpose()?,
+        };
+        let mut batch = solve_tracks(rig, tracks, &options)?;
+        batch.warnings.splice(0..0, earlier_warnings);
+        let plane = match self.plane {
+            Plane::Front => PlatePlane::Front,
+            Plane::Middle => PlatePlane::Middle,
+        };
+        let report = results::write(
+            &self.out,
+            &ReportInput {
+                title,
+                rig,
+                calibration: &batch.calibration,
+                pitches: &batch.pitches,
+                residuals: &batch.residuals,
+                warnings: &batch.warnings,
+                facts,
+                plane,
+            },
+            tracks,
+        )?;
+        self.print(rig, &batch, plane, &report)
+    }
+
+    fn print(&self, rig: &Rig, batch: &Batch, plane: PlatePlane, report: &Path) -> anyhow::Result<()> {
+        for warning in &batch.warnings {
+            eprintln!("pitchd: warning: {warning}");
+        }
+        if self.json {
+            print!("{}", results::jsonl(&batch.pitches)?);
+        } else {
+            print!("{}", table::cameras(&batch.calibration, rig));
+            println!();
+            print!("{}", table::pitches(&batch.pitches, plane));
+            println!();
+            println!("report: {}", report.display());
+        }
+        if batch.flights.is_empty() {
+            anyhow::bail!("no pitch could be solved (see the warnings)");
+        }
+        Ok(())
+    }
+}
+
+fn read_calibration(path: &Path) -> anyhow::Result<Calibration> {
+    results::read_calibration(path).context("--calibration")
+}

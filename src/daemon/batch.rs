@@ -1,0 +1,251 @@
+//! 2-D tracks to pitches, all at once: the second half of the pipeline, for recordings and track files.
+
+use crate::calibration::association::{Association, AssociationOptions, associate};
+use crate::calibration::recipe::{CalibrationOptions, CalibrationOutcome, calibrate};
+use crate::calibration::{CalibrationError, PitchTracks};
+use crate::export::report::Residual;
+use crate::flight::{
+    FlightError, FlightOptions, NumbersError, PitchOptions, SolvedFlight, pitch_from_flight, residuals,
+    solve_flight,
+};
+use crate::scene::{Calibration, CalibrationMethod, CameraId, Pitch, Rig, Track, WorldFrame};
+
+/// How tracks become pitches.
+#[derive(Debug, Clone, Default)]
+pub struct BatchOptions {
+    /// Estimator, where a calibration has to be made.
+    pub method: CalibrationMethod,
+    /// A calibration to use as it is; `None`: calibrate from these very pitches.
+    pub calibration: Option<Calibration>,
+}
+
+/// Why there are no pitches.
+#[derive(Debug, thiserror::Error)]
+pub enum BatchError {
+    /// No calibration could be made.
+    #[error("calibration: {0}")]
+    Calibration(#[from] CalibrationError),
+    /// Tracks of a camera nobody knows.
+    #[error("tracks of camera `{camera}`, which is not in the rig ({known})")]
+    UnknownCamera {
+        /// The camera.
+        camera: CameraId,
+        /// The rig's cameras.
+        known: String,
+    },
+}
+
+/// One flight that was solved, in whatever world the calibration has.
+#[derive(Debug, Clone)]
+pub struct BatchFlight {
+    /// Number, from 1.
+    pub number: u32,
+    /// The flight.
+    pub flight: SolvedFlight,
+    /// What it was solved from.
+    pub tracks: Vec<Track>,
+}
+
+/// What came of a set of tracks.
+#[derive(Debug, Clone)]
+pub struct Batch {
+    /// Made here, or the one given.
+    pub calibration: Calibration,
+    /// Pitches in time order (empty where the world is not the home-plate frame).
+    pub pitches: Vec<Pitch>,
+    /// Every flight, pitches or not.
+    pub flights: Vec<BatchFlight>,
+    /// Residuals of every point of every pitch.
+    pub residuals: Vec<Residual>,
+    /// What a person must know.
+    pub warnings: Vec<String>,
+}
+
+/// Calibrates if need be and solves every pitch.
+///
+/// # Errors
+/// [`BatchError`] where nothing can be had; a single bad pitch is only a warning.
+pub fn solve_tracks(rig: &Rig, tracks: &[Track], options: &BatchOptions) -> Result<Batch, BatchError> {
+    if let Some(stranger) = tracks.iter().find(|t| rig.index_of(&t.camera).is_none()) {
+        return Err(BatchError::UnknownCamera {
+            camera: stranger.camera.clone(),
+            known: rig
+                .cameras
+                .iter()
+                .map(|c| c.id.as_str())
+                .collect::<Vec<_>>()
+                .join(", "),
+        });
+    }
+    let mut warnings = silent_cameras(rig, tracks);
+    let (calibration, solved) = match &options.calibration {
+        Some(calibration) => {
+            let tracks = of_calibrated(calibration, tracks, &mut warnings);
+            let groups = group_by(rig, calibration, &tracks);
+            let solved = groups.into_iter().map(|g| (g, None)).collect();
+            (calibration.clone(), solved)
+        }
+        None => {
+            let outcome = calibrate(rig, tracks, &CalibrationOptions::default())?;
+            warnings.extend(outcome.calibration.warnings.iter().cloned());
+            warnings.extend(outcome.wrong_tracks.iter().map(|w| {
+                format!(
+                    "camera {} track {}: not the ball of its pitch (fits in {:.0} % of its points), left out",
+                    w.camera,
+                    w.track,
+                    100.0 * w.kept_share
+                )
+            }));
+            warnings.extend(
+                outcome
+                    .unsolved
+                    .iter()
+                    .filter_map(|u| Some((outcome.pitches.get(u.pitch)?, u)))
+                    .map(|(tracks, u)| format!("{}: not solved: {}", name_of(tracks), u.reason)),
+            );
+            (outcome.calibration.clone(), pair_up(outcome))
+        }
+    };
+    let mut batch = Batch {
+        calibration,
+        pitches: Vec::new(),
+        flights: Vec::new(),
+        residuals: Vec::new(),
+        warnings,
+    };
+    batch.fly(rig, solved);
+    Ok(batch)
+}
+
+type Group = (PitchTracks, Option<SolvedFlight>);
+
+/// The pitches of a calibration with the flights that were solved with it.
+fn pair_up(outcome: CalibrationOutcome) -> Vec<Group> {
+    let CalibrationOutcome { pitches, flights, .. } = outcome;
+    flights
+        .into_iter()
+        .filter_map(|f| Some((pitches.get(f.pitch)?.clone(), Some(f.flight))))
+        .collect()
+}
+
+fn silent_cameras(rig: &Rig, tracks: &[Track]) -> Vec<String> {
+    rig.cameras
+        .iter()
+        .filter(|c| !tracks.iter().any(|t| t.camera == c.id && !t.points.is_empty()))
+        .map(|c| format!("camera {} has no track of a ball: going on without it", c.id))
+        .collect()
+}
+
+fn of_calibrated(calibration: &Calibration, tracks: &[Track], warnings: &mut Vec<String>) -> Vec<Track> {
+    let known = |t: &&Track| calibration.camera(&t.camera).is_some();
+    let mut strangers: Vec<_> = tracks.iter().filter(|t| !known(t)).map(|t| &t.camera).collect();
+    strangers.sort();
+    strangers.dedup();
+    for camera in strangers {
+        warnings.push(format!(
+            "camera {camera} is not in the calibration given: its tracks are not used"
+        ));
+    }
+    tracks.iter().filter(known).cloned().collect()
+}
+
+/// Tracks of the same ball, by the known delays.
+fn group_by(rig: &Rig, calibration: &Calibration, tracks: &[Track]) -> Vec<PitchTracks> {
+    let mut timed = rig.clone();
+    for camera in &mut timed.cameras {
+        if let Some(known) = calibration.camera(&camera.id) {
+            camera.time_offset_s = Some(-known.capture_delay_s);
+        }
+    }
+    let Association { pitches, .. } = associate(&timed, tracks, &AssociationOptions::default());
+    pitches
+}
+
+impl Batch {
+    fn fly(&mut self, rig: &Rig, groups: Vec<Group>) {
+        let home_plate = self.calibration.world == WorldFrame::HomePlate;
+        if !home_plate {
+            self.warnings.push(format!(
+                "no landmarks: positions are relative to camera {}, and there are no plate numbers",
+                self.calibration.reference
+            ));
+        }
+        let flight_options = FlightOptions::for_site(&rig.site, self.calibration.world);
+        let mut number = 0;
+        for (group, flight) in groups {
+            let solved = match flight {
+                Some(flight) => Ok(flight),
+                None => solve_flight(&self.calibration, &group.tracks, &flight_options),
+            };
+            let flight = match solved {
+                Ok(flight) => flight,
+                Err(error) => {
+                    self.leave_out(&group, &error);
+                    continue;
+                }
+            };
+            if home_plate && !self.keep_pitch(rig, &flight, &group, number + 1) {
+                continue;
+            }
+            number += 1;
+            self.residuals.extend(
+                residuals(&self.calibration, &flight, &group.tracks)
+                    .into_iter()
+                    .map(|r| Residual {
+                        camera: r.camera,
+                        pitch: number,
+                        time_s: r.time_s,
+                        dx_px: r.dx_px,
+                        dy_px: r.dy_px,
+                        kept: r.kept,
+                    }),
+            );
+            self.flights.push(BatchFlight {
+                number,
+                flight,
+                tracks: group.tracks,
+            });
+        }
+    }
+
+    fn keep_pitch(&mut self, rig: &Rig, flight: &SolvedFlight, group: &PitchTracks, number: u32) -> bool {
+        let options = PitchOptions {
+            sample_rate_hz: rig.reference_camera().frame_rate_hz,
+            calibration_version: self.calibration.version,
+            ..PitchOptions::default()
+        };
+        match pitch_from_flight(flight, number, &options) {
+            Ok(pitch) => {
+                self.pitches.push(pitch);
+                true
+            }
+            Err(error) => {
+                self.not_a_pitch(group, &error);
+                false
+            }
+        }
+    }
+
+    fn leave_out(&mut self, group: &PitchTracks, error: &FlightError) {
+        self.warnings
+            .push(format!("{}: not solved: {error}", name_of(group)));
+    }
+
+    fn not_a_pitch(&mut self, group: &PitchTracks, error: &NumbersError) {
+        self.warnings
+            .push(format!("{}: a flight, but no pitch: {error}", name_of(group)));
+    }
+}
+
+/// "camera first track 3 (frame 812), camera third track 2 (frame 810)": enough to find it in the recording.
+fn name_of(group: &PitchTracks) -> String {
+    let parts: Vec<_> = group
+        .tracks
+        .iter()
+        .map(|t| {
+            let frame = t.points.first().map_or(0, |p| p.frame);
+            format!("camera {} track {} (from frame {frame})", t.camera, t.track)
+        })
+        .collect();
+    parts.join(", ")
+}

@@ -1,0 +1,153 @@
+//! Frames to 2-D tracks, every camera on its own thread: the first half of the pipeline.
+//!
+//! A camera shares nothing with the others, so there is no queue to fill: each thread pulls its source as
+//! fast as it may (or at the pace asked for) and keeps its tracks until the source ends.
+
+use std::time::{Duration, Instant};
+
+use crate::capture::{FrameGeometry, FrameSource};
+use crate::detection::DetectorCounters;
+use crate::eye::{CameraEye, EyeConfig};
+use crate::scene::{CameraId, Frame, Track};
+use crate::tracking::TrackerCounters;
+
+/// How fast a recording is played.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Pace {
+    /// As fast as it goes.
+    Max,
+    /// This many times the speed of the stamps.
+    Times(f64),
+}
+
+/// What became of one camera's frames.
+#[derive(Debug, Clone)]
+pub struct Watched {
+    /// Camera.
+    pub camera: CameraId,
+    /// Frames that went through detection.
+    pub frames: u64,
+    /// Frames that could not be used, with the reason of the first few.
+    pub unusable: u64,
+    /// The first reasons, each naming camera and frame.
+    pub reasons: Vec<String>,
+    /// Pitched balls.
+    pub tracks: Vec<Track>,
+    /// What the detector saw and left out.
+    pub detector: DetectorCounters,
+    /// What the tracker saw and left out.
+    pub tracker: TrackerCounters,
+}
+
+/// Reasons kept per camera; the rest is counted.
+const REASONS_KEPT: usize = 5;
+
+/// Runs every source to its end, one thread a camera; `on_frame` is called after each frame, on any thread.
+pub fn watch_all(
+    sources: Vec<Box<dyn FrameSource>>,
+    eye: &EyeConfig,
+    pace: Pace,
+    on_frame: &(dyn Fn() + Sync),
+) -> Vec<Watched> {
+    std::thread::scope(|scope| {
+        let threads: Vec<_> = sources
+            .into_iter()
+            .map(|source| {
+                let camera = source.camera().clone();
+                let thread = std::thread::Builder::new().name(format!("watch-{camera}"));
+                (
+                    camera,
+                    thread.spawn_scoped(scope, move || watch(source, eye, pace, on_frame)),
+                )
+            })
+            .collect();
+        threads
+            .into_iter()
+            .map(|(camera, thread)| match thread.map(|t| t.join()) {
+                Ok(Ok(watched)) => watched,
+                Ok(Err(_)) => lost(camera, "its thread ended early".to_owned()),
+                Err(error) => lost(camera, format!("no thread for it: {error}")),
+            })
+            .collect()
+    })
+}
+
+fn lost(camera: CameraId, reason: String) -> Watched {
+    let reasons = vec![format!("camera {camera}: {reason}")];
+    Watched {
+        camera,
+        frames: 0,
+        unusable: 0,
+        reasons,
+        tracks: Vec::new(),
+        detector: DetectorCounters::default(),
+        tracker: TrackerCounters::default(),
+    }
+}
+
+fn watch(source: Box<dyn FrameSource>, eye: &EyeConfig, pace: Pace, on_frame: &(dyn Fn() + Sync)) -> Watched {
+    let FrameGeometry { width_px, height_px } = source.geometry();
+    let camera = source.camera().clone();
+    let mut eye = CameraEye::new(camera.clone(), eye.clone(), width_px, height_px);
+    let mut watched = lost(camera.clone(), String::new());
+    watched.reasons.clear();
+    let mut clock = Paced::new(pace);
+    let refuse = |watched: &mut Watched, reason: String| {
+        watched.unusable += 1;
+        if watched.reasons.len() < REASONS_KEPT {
+            watched.reasons.push(format!("camera {camera}: {reason}"));
+        }
+    };
+    for frame in source {
+        on_frame();
+        let frame = match frame {
+            Ok(frame) => frame,
+            Err(error) => {
+                refuse(&mut watched, error.to_string());
+                continue;
+            }
+        };
+        clock.wait_for(&frame);
+        match eye.push(&frame) {
+            Ok(()) => watched.frames += 1,
+            Err(error) => refuse(&mut watched, error.to_string()),
+        }
+        watched.tracks.extend(eye.drain_pitches());
+    }
+    eye.finish();
+    watched.tracks.extend(eye.drain_pitches());
+    // Numbers within a camera are those of its pitches, in time order.
+    watched.tracks.sort_by_key(|t| t.span());
+    for (number, track) in watched.tracks.iter_mut().enumerate() {
+        track.track = number as u32;
+    }
+    (watched.detector, watched.tracker) = eye.counters();
+    watched
+}
+
+/// Holds frames back until their time has come. Long gaps between clips are skipped.
+struct Paced {
+    pace: Pace,
+    start: Option<(Instant, i64)>,
+}
+
+impl Paced {
+    fn new(pace: Pace) -> Self {
+        Self { pace, start: None }
+    }
+
+    fn wait_for(&mut self, frame: &Frame) {
+        let Pace::Times(times) = self.pace else {
+            return;
+        };
+        let stamp = frame.stamp.stamped.nanos();
+        let (begun, first) = *self.start.get_or_insert((Instant::now(), stamp));
+        let due = Duration::from_secs_f64(((stamp - first) as f64 / 1e9 / times).clamp(0.0, 1e9));
+        let ahead = due.saturating_sub(begun.elapsed());
+        if ahead > Duration::from_secs(1) {
+            self.start = Some((Instant::now(), stamp));
+        } else {
+            std::thread::sleep(ahead);
+        }
+    }
+}
