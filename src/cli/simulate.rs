@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use indicatif::{ProgressBar, ProgressStyle};
 
-use crate::simulation::{self, CameraRenderer, Scenario};
+use crate::simulation::{self, CameraRenderer, Scenario, Truth};
 
 const AFTER_HELP: &str = "\
 Examples:
@@ -44,9 +44,12 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
     if let Some(seed) = args.seed {
         scenario = scenario.with_seed(seed);
     }
-    let simulated = simulation::simulate_tracks(&scenario)?;
+    let mut simulated = simulation::simulate_tracks(&scenario)?;
     let rig = simulation::write_rig(&args.out, &simulated.rig)?;
     simulation::write_tracks(&args.out, &simulated.rig, &simulated.tracks)?;
+    if args.frames {
+        render(args, &scenario, &mut simulated.truth)?;
+    }
     simulation::write_truth(&args.out, &simulated.truth)?;
     println!(
         "{}: {} pitches, {} tracks from {} cameras",
@@ -55,15 +58,13 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
         simulated.tracks.len(),
         simulated.rig.cameras.len()
     );
-    if args.frames {
-        render(args, &scenario)?;
-    }
     Ok(())
 }
 
-fn render(args: &SimulateArgs, scenario: &Scenario) -> anyhow::Result<()> {
-    for index in 0..scenario.cameras.len() {
+fn render(args: &SimulateArgs, scenario: &Scenario, truth: &mut Truth) -> anyhow::Result<()> {
+    for (index, centres) in truth.centres.iter_mut().enumerate() {
         let mut renderer = CameraRenderer::new(scenario, index)?;
+        renderer.mark_hidden(&mut centres.centres);
         let bar = ProgressBar::new(renderer.exposures().count() as u64)
             .with_style(ProgressStyle::with_template(
                 "{prefix:>12} {wide_bar} {pos}/{len} {eta}",

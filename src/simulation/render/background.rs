@@ -11,7 +11,6 @@ pub(super) struct Background {
     /// Row by row.
     pub tones: Vec<f32>,
     /// Pixels that show the crowd, thinned: places for things that twinkle.
-    #[allow(dead_code)]
     pub crowd: Vec<(u32, u32)>,
 }
 

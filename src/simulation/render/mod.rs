@@ -8,7 +8,10 @@ mod background;
 mod ball;
 mod canvas;
 mod ground;
+mod limb;
 mod look;
+mod people;
+mod scenery;
 mod sensor;
 mod stands;
 mod texture;
@@ -22,15 +25,18 @@ use rand::Rng;
 
 use self::background::{Background, View};
 use self::ball::{BallLight, ball_patch};
-use self::canvas::Canvas;
+use self::canvas::{Canvas, Patch};
 use self::ground::Ground;
+use self::limb::Shape;
 use self::look::Look;
+use self::people::Play;
+use self::scenery::Scenery;
 use self::sensor::Sensor;
 use super::clock::{CameraClock, Exposure, Purpose, stream};
 use super::error::SimulationError;
 use super::scenario::{CameraSpec, Scenario};
-use super::throw::ThrownBall;
-use super::truth;
+use super::throw::{PLATE_FRONT_Y_M, ThrownBall};
+use super::truth::{self, TrueCentre};
 use crate::geometry::Pose;
 use crate::scene::{CameraId, Frame, FrameStamp};
 
@@ -46,6 +52,8 @@ pub struct CameraRenderer {
     background: Background,
     canvas: Canvas,
     sensor: Sensor,
+    scenery: Scenery,
+    plays: Vec<Play>,
     column_light: Vec<[f32; 2]>,
     seed: u64,
     index: u64,
@@ -73,12 +81,20 @@ impl CameraRenderer {
         }
         .paint();
         let width = camera.width_px as usize;
+        let mut rng = stream(scenario.seed, Purpose::Scenery, index as u64 + 1, 0);
+        let scenery = Scenery::default()
+            .with_twinkles(&background.crowd, look.crowd_flicker, &mut rng)
+            .with_bars(usual_path(camera), look.occlusion, &mut rng);
+        let pitches = scenario.pitches.len().min(balls.len());
+        let plays = plays(&balls[..pitches], &look, scenario);
         Ok(Self {
             pose: camera.pose(),
             clock: CameraClock::new(scenario, index, camera),
             windows_s: windows(scenario, &look, &balls),
             canvas: Canvas::new(&background.tones, width),
             sensor: Sensor::new(scenario.seed, width, look.read_noise_dn, look.electrons_per_dn),
+            scenery,
+            plays,
             column_light: column_light(width),
             camera: camera.clone(),
             look,
@@ -122,7 +138,9 @@ impl CameraRenderer {
     pub fn render(&mut self, exposure: &Exposure, out: &mut [u8]) {
         let mut rng = stream(self.seed, Purpose::PixelNoise, self.index + 1, exposure.frame);
         self.canvas.restore(&self.background.tones);
-        self.draw_balls(exposure);
+        self.scenery.draw_behind(exposure.frame, &mut self.canvas);
+        self.draw_movers(exposure);
+        self.scenery.draw_before(&mut self.canvas);
         let gains = self.gains(exposure.true_s);
         self.sensor.expose(&self.canvas.tones, &gains, &mut rng, out);
     }
@@ -153,19 +171,59 @@ impl CameraRenderer {
         }
     }
 
-    fn draw_balls(&mut self, exposure: &Exposure) {
+    /// People and balls, far to near.
+    fn draw_movers(&mut self, exposure: &Exposure) {
+        let mut people = self.people(exposure.true_s);
+        people.sort_by(|a, b| b.depth_m.total_cmp(&a.depth_m));
+        let mut balls = self.balls_in(exposure);
+        balls.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut balls = balls.into_iter().peekable();
+        for shape in people {
+            while let Some((_, patch)) = balls.next_if(|(depth_m, _)| *depth_m > shape.depth_m) {
+                self.canvas.compose(&patch);
+            }
+            shape.draw(&mut self.canvas);
+        }
+        for (_, patch) in balls {
+            self.canvas.compose(&patch);
+        }
+    }
+
+    /// The four players at a true time, as shapes in the picture.
+    fn people(&self, true_s: f64) -> Vec<Shape> {
+        let Some((play, t)) = self.play_at(true_s) else {
+            return Vec::new();
+        };
+        let project = |limb: &limb::Limb| {
+            let light = self.ground.light(&limb.a);
+            Shape::of(limb, &self.pose, &self.camera.intrinsics, light)
+        };
+        let limbs = play.limbs(t, self.look.white_dn);
+        limbs.iter().filter_map(project).collect()
+    }
+
+    /// The pitch that is nearest in time, and the time after its release.
+    fn play_at(&self, true_s: f64) -> Option<(&Play, f64)> {
+        let pitches = self.plays.iter().zip(&self.balls);
+        let timed = pitches.map(|(play, ball)| (play, true_s - ball.start_s));
+        timed.min_by(|a, b| a.1.abs().total_cmp(&b.1.abs()))
+    }
+
+    /// Every ball that this exposure sees, in flight or in the pitcher's hand: distance and patch.
+    fn balls_in(&self, exposure: &Exposure) -> Vec<(f64, Patch)> {
+        let lens = &self.camera.intrinsics;
         let half_s = 0.5 * self.camera.exposure_s;
-        for ball in &self.balls {
+        let mut all = Vec::new();
+        for (number, ball) in self.balls.iter().enumerate() {
             let (begin_s, end_s) = ball.span_s();
-            if exposure.true_s < begin_s - 0.1 || exposure.true_s > end_s + 0.1 {
+            if exposure.true_s < begin_s - 0.5 || exposure.true_s > end_s + 0.1 {
                 continue;
             }
-            let lens = &self.camera.intrinsics;
-            let seen = truth::sight_in_frame(&self.pose, lens, &self.clock, ball, exposure.frame);
-            let Some((true_s, _)) = seen else {
-                continue;
-            };
-            if true_s < begin_s || true_s > end_s {
+            let play = self.plays.get(number);
+            let row_time = truth::sight_in_frame(&self.pose, lens, &self.clock, ball, exposure.frame);
+            let true_s = row_time.map_or(exposure.true_s, |(t, _)| t);
+            let held = |t: f64| play.and_then(|p| p.held_ball(t - begin_s));
+            if true_s > end_s || (true_s < begin_s && held(true_s).is_none()) {
                 continue;
             }
             let patch = ball_patch(
@@ -177,14 +235,50 @@ impl CameraRenderer {
                     shading: self.look.shading,
                 },
                 |t| {
-                    let p = ball.position_m(t);
-                    let light = self.ground.light(&p);
-                    (p, light)
+                    // A ball whose exposure spans the release is taken as flying: the truth's midpoint rules.
+                    let p = match held(t) {
+                        Some(hand) if true_s < begin_s => hand,
+                        _ => ball.position_m(t),
+                    };
+                    (p, self.ground.light(&p))
                 },
             );
-            if let Some(patch) = patch {
-                self.canvas.compose(&patch);
-            }
+            let at = held(true_s).unwrap_or_else(|| ball.position_m(true_s));
+            let depth_m = self.pose.transform(&at).norm();
+            all.extend(patch.map(|patch| (depth_m, patch)));
+        }
+        all
+    }
+
+    /// Share of a ball's disc that people, poles and wires hide at its exposure midpoint, 0..1.
+    pub fn hidden_share(&self, centre: &TrueCentre) -> f64 {
+        let Some(ball) = (centre.pitch as usize)
+            .checked_sub(1)
+            .and_then(|i| self.balls.get(i))
+        else {
+            return 0.0;
+        };
+        let row_px = centre.pixel.y;
+        let true_s = self.clock.true_s(centre.frame, row_px);
+        let depth_m = self.pose.transform(&ball.position_m(true_s)).norm();
+        let mut people = self.people(true_s);
+        people.retain(|shape| shape.depth_m < depth_m);
+        let mut hidden = 0.0;
+        for (u, v) in DISC {
+            let x = centre.pixel.x + u * centre.radius_px;
+            let y = centre.pixel.y + v * centre.radius_px;
+            let shapes = people.iter().map(|shape| shape.at(x, y).0);
+            let bars = self.scenery.bars.iter().map(|bar| bar.at(x, y));
+            let clear: f32 = shapes.chain(bars).map(|coverage| 1.0 - coverage).product();
+            hidden += f64::from(1.0 - clear) / DISC.len() as f64;
+        }
+        hidden
+    }
+
+    /// Marks as not visible every centre of this camera that is hidden by more than half.
+    pub fn mark_hidden(&self, centres: &mut [TrueCentre]) {
+        for centre in centres.iter_mut().filter(|c| c.visible) {
+            centre.visible = self.hidden_share(centre) <= 0.5;
         }
     }
 
@@ -199,6 +293,57 @@ impl CameraRenderer {
         let gain = |[u, v]: &[f32; 2]| 1.0 + amplitude * (u * a + v * b);
         self.column_light.iter().map(gain).collect()
     }
+}
+
+/// Points of a disc of radius 1 that stand for its area.
+const DISC: [(f64, f64); 13] = [
+    (0.0, 0.0),
+    (0.5, 0.0),
+    (-0.5, 0.0),
+    (0.0, 0.5),
+    (0.0, -0.5),
+    (0.85, 0.0),
+    (-0.85, 0.0),
+    (0.0, 0.85),
+    (0.0, -0.85),
+    (0.6, 0.6),
+    (-0.6, 0.6),
+    (0.6, -0.6),
+    (-0.6, -0.6),
+];
+
+/// Where pitches pass in a camera's picture.
+fn usual_path(camera: &CameraSpec) -> ([f64; 2], [f64; 2]) {
+    let pose = camera.pose();
+    let at = |p: [f64; 3]| {
+        let pixel = camera.intrinsics.project(&pose.transform(&p.into()));
+        pixel.map_or([0.0; 2], |q| [q.x, q.y])
+    };
+    (at([0.0, 16.5, 1.8]), at([0.0, 0.43, 0.75]))
+}
+
+/// What the players do for every pitch: every other batter swings, two of five stand at x > 0.
+fn plays(pitches: &[ThrownBall], look: &Look, scenario: &Scenario) -> Vec<Play> {
+    if !look.people {
+        return Vec::new();
+    }
+    let rubber = scenario.site.field.landmark("rubber_front_right");
+    let mound_m = rubber.map_or(0.0, |p| p.z);
+    let play = |(i, ball): (usize, &ThrownBall)| {
+        let start = ball.flight.state(0.0);
+        let plate_s = ball.flight.time_at_y(PLATE_FRONT_Y_M);
+        Play {
+            release_m: start.position_m,
+            release_mps: start.velocity_mps,
+            glove_m: ball.flight.position_m(ball.flight.end_s),
+            plate_s: plate_s.unwrap_or(ball.flight.end_s),
+            batter_side: if i % 5 == 1 || i % 5 == 3 { 1.0 } else { -1.0 },
+            swing: i % 2 == 1,
+            batter_y_m: look.batter_y_m,
+            mound_m,
+        }
+    };
+    pitches.iter().enumerate().map(play).collect()
 }
 
 /// Frames of one camera in time order.
