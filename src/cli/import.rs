@@ -7,7 +7,7 @@ use anyhow::{Context, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::capture::{FrameGeometry, FrameSource, ImageFolder, Stamping, VideoFile};
-use crate::config::{load_rig, nearest};
+use crate::config::{load_rig, nearest, portable_rig};
 use crate::recording::{CameraGeometry, CameraWriter, PixelEncoding, RecordedFrame};
 use crate::recording::{SessionOptions, SessionWriter, remove_session};
 use crate::scene::{CameraId, CameraSetup, Rig};
@@ -91,7 +91,7 @@ struct Imported {
 /// One line that names the culprit; what was written before stays readable.
 pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     let rig = load_rig(&args.rig)?;
-    let rig_toml = std::fs::read_to_string(&args.rig).with_context(|| args.rig.display().to_string())?;
+    let rig_toml = portable_rig(&args.rig)?;
     let sources = open_sources(args, &rig)?;
     warn_of_absent(args, &rig);
     prepare_folder(&args.out, args.force)?;

@@ -29,6 +29,12 @@ pub const METADATA_NAME: &str = "pitchd";
 pub const METADATA_CRC_KEY: &str = "crc32";
 /// Attachment of the session file: the camera files and how many frames each holds.
 pub const FILES_ATTACHMENT: &str = "files.json";
+/// Attachment of a repaired session file: what could not be saved, in words.
+pub const LOSSES_ATTACHMENT: &str = "losses.json";
+/// Ending of a damaged file that a repair has replaced.
+pub const DAMAGED_SUFFIX: &str = ".damaged";
+/// Ending of a file a repair is making.
+pub const REPAIR_SUFFIX: &str = ".repair";
 /// The file of rig, calibration, tracks and results.
 pub const SESSION_FILE: &str = "session.mcap";
 /// Ending of a file that is not finished.
@@ -81,8 +87,13 @@ pub fn camera_file(folder: &Path, camera: &CameraId, segment: u32) -> PathBuf {
 
 /// The same with `.part` behind.
 pub fn part_of(file: &Path) -> PathBuf {
+    with_suffix(file, PART_SUFFIX)
+}
+
+/// A path with something behind its whole name.
+pub fn with_suffix(file: &Path, suffix: &str) -> PathBuf {
     let mut name = file.as_os_str().to_owned();
-    name.push(PART_SUFFIX);
+    name.push(suffix);
     PathBuf::from(name)
 }
 
@@ -104,8 +115,10 @@ pub fn parse_camera_file(name: &str) -> Option<CameraFile> {
 
 /// Whether a file of this name belongs to a session (finished or not, or set aside by a repair).
 pub fn is_session_file(name: &str) -> bool {
-    let stem = name.strip_suffix(".damaged").unwrap_or(name);
-    let stem = stem.strip_suffix(PART_SUFFIX).unwrap_or(stem);
+    let mut stem = name;
+    for suffix in [DAMAGED_SUFFIX, PART_SUFFIX, REPAIR_SUFFIX] {
+        stem = stem.strip_suffix(suffix).unwrap_or(stem);
+    }
     stem == SESSION_FILE || parse_camera_file(stem).is_some()
 }
 

@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use super::damage::{Damage, LostFrames};
 use super::error::RecordingError;
+use super::frame_file::FileEntry;
 use super::frame_info::RecordedFrame;
 use super::layout::{
     CALIBRATION_ATTACHMENT, FORMAT_VERSION, INFO_CHANNEL, RIG_ATTACHMENT, SESSION_FILE, parse_camera_file,
@@ -14,7 +15,7 @@ use super::layout::{
 use super::scan::Scanner;
 use super::session_file::{self, SessionRecord};
 use super::summary::{Preamble, read_preamble};
-use super::writer::{CameraGeometry, FileEntry};
+use super::writer::CameraGeometry;
 use crate::scene::CameraId;
 use crate::time::StampedMidpoint;
 
@@ -56,6 +57,7 @@ pub struct SessionReader {
     cameras: Vec<Camera>,
     rig_toml: Option<String>,
     calibration_json: Option<String>,
+    losses: Vec<String>,
     damage: DamageList,
 }
 
@@ -72,6 +74,7 @@ impl SessionReader {
             cameras: Vec::new(),
             rig_toml: None,
             calibration_json: None,
+            losses: Vec::new(),
             damage: DamageList::default(),
         };
         let session = reader.open_session_file(&names)?;
@@ -93,6 +96,7 @@ impl SessionReader {
             }
         }
         reader.tell_missing_files(&session, &by_camera);
+        reader.losses = session.losses;
         for (id, segments) in by_camera {
             reader.add_camera(id, segments)?;
         }
@@ -274,6 +278,11 @@ impl SessionReader {
     /// `calibration.json` the session was made with.
     pub fn calibration_json(&self) -> Option<&str> {
         self.calibration_json.as_deref()
+    }
+
+    /// What earlier repairs ([`super::repair_session`]) had to give up, in words.
+    pub fn losses(&self) -> &[String] {
+        &self.losses
     }
 
     /// A camera's frames by rising stamps, read as they are asked for. `None`: no such camera.

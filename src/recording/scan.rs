@@ -39,6 +39,10 @@ struct OpenChunk {
     hasher: crc32fast::Hasher,
     /// False after something in it was found broken: then its checksum says nothing new.
     whole: bool,
+    /// First byte of its records.
+    begin: u64,
+    /// Channel, log time and place of each message, as its message indexes must say.
+    messages: Vec<(u16, u64, u64)>,
 }
 
 /// One file being read.
@@ -52,6 +56,8 @@ pub struct Scanner {
     end: u64,
     summary: Option<FileSummary>,
     chunk: Option<OpenChunk>,
+    /// Messages of the chunk before, while its indexes may follow.
+    indexed: Vec<(u16, u64, u64)>,
     pending: Option<FrameInfo>,
     /// The next image's info was told to be broken or foreign: the image is no news.
     image_told: bool,
@@ -60,6 +66,7 @@ pub struct Scanner {
     bytes_lost: u64,
     reasons: Vec<String>,
     reasons_untold: usize,
+    end_reasons: usize,
     foreign: u64,
     done: bool,
 }
@@ -88,6 +95,7 @@ impl Scanner {
             end: length,
             summary: None,
             chunk: None,
+            indexed: Vec::new(),
             pending: None,
             image_told: false,
             indices_seen: 0,
@@ -95,6 +103,7 @@ impl Scanner {
             bytes_lost: 0,
             reasons: Vec::new(),
             reasons_untold: 0,
+            end_reasons: 0,
             foreign: 0,
             done: false,
         };
@@ -109,8 +118,8 @@ impl Scanner {
                 }
                 scanner.summary = Some(summary);
             }
-            Trailer::Missing if finished => scanner.tell("its end is missing".to_owned()),
-            Trailer::Missing => scanner.tell("was not finished, its writer was stopped".to_owned()),
+            Trailer::Missing if finished => scanner.tell_end("its end is missing".to_owned()),
+            Trailer::Missing => scanner.tell_end("was not finished, its writer was stopped".to_owned()),
             Trailer::Damaged(what) => scanner.tell(what),
         }
         Ok(scanner)
@@ -131,6 +140,11 @@ impl Scanner {
             }
         }
         None
+    }
+
+    /// Whose file.
+    pub fn camera(&self) -> &CameraId {
+        &self.camera
     }
 
     /// The statistics at the end of the file, where it has any.
@@ -161,6 +175,17 @@ impl Scanner {
             bytes_lost: self.bytes_lost,
             reason,
         })
+    }
+
+    /// Whether all that was found is that the file ends too early: nothing before its end is wrong.
+    pub fn only_end_missing(&self) -> bool {
+        self.reasons.len() + self.reasons_untold <= self.end_reasons
+    }
+
+    /// Notes that the file ends too early.
+    fn tell_end(&mut self, reason: String) {
+        self.end_reasons += 1;
+        self.tell(reason);
     }
 
     /// Notes something wrong.
@@ -212,7 +237,11 @@ impl Scanner {
                 let Some(body) = self.read_vec(length)? else {
                     return self.broken(start);
                 };
-                if let Some(what) = small_record_damage(opcode, &body) {
+                let broken = match opcode {
+                    op::MESSAGE_INDEX => self.index_damage(&body),
+                    _ => small_record_damage(opcode, &body),
+                };
+                if let Some(what) = broken {
                     self.tell(format!("{what} at byte {start}"));
                 }
                 Ok(Step::Nothing)
@@ -233,12 +262,14 @@ impl Scanner {
     }
 
     fn close_chunk(&mut self) {
-        if let Some(chunk) = self.chunk.take()
-            && chunk.whole
-            && self.position == chunk.end
-            && chunk.hasher.finalize() != chunk.crc
-        {
-            self.tell(format!("the chunk before byte {} fails its checksum", chunk.end));
+        let Some(chunk) = self.chunk.take() else { return };
+        self.indexed.clear();
+        if chunk.whole && self.position == chunk.end {
+            if chunk.hasher.finalize() == chunk.crc {
+                self.indexed = chunk.messages;
+            } else {
+                self.tell(format!("the chunk before byte {} fails its checksum", chunk.end));
+            }
         }
     }
 
@@ -253,6 +284,8 @@ impl Scanner {
                     crc,
                     hasher: crc32fast::Hasher::new(),
                     whole: true,
+                    begin: self.position,
+                    messages: Vec::new(),
                 });
                 Ok(Step::Nothing)
             }
@@ -260,11 +293,34 @@ impl Scanner {
         }
     }
 
+    /// A message index has no checksum, but it says nothing that the chunk before it has not said.
+    fn index_damage(&self, body: &[u8]) -> Option<&'static str> {
+        if self.indexed.is_empty() {
+            return None;
+        }
+        let mut cursor = Cursor::new(body);
+        let channel = cursor.u16();
+        let right = cursor
+            .u32()
+            .is_some_and(|bytes| bytes as usize == cursor.rest().len())
+            && self
+                .indexed
+                .iter()
+                .filter(|(of, _, _)| Some(*of) == channel)
+                .all(|(_, time, place)| cursor.u64() == Some(*time) && cursor.u64() == Some(*place))
+            && cursor.rest().is_empty();
+        (!right).then_some("a message index is broken")
+    }
+
     fn message(&mut self, start: u64, length: u64) -> std::io::Result<Step> {
         let Some(head) = self.read_vec(MESSAGE_HEADER_BYTES)? else {
             return self.broken(start);
         };
-        let channel = Cursor::new(&head).u16();
+        let mut cursor = Cursor::new(&head);
+        let (channel, _sequence, log_time) = (cursor.u16(), cursor.u32(), cursor.u64());
+        if let (Some(chunk), Some(channel), Some(log_time)) = (&mut self.chunk, channel, log_time) {
+            chunk.messages.push((channel, log_time, start - chunk.begin));
+        }
         let Some(data) = self.read_vec(length - MESSAGE_HEADER_BYTES)? else {
             return self.broken(start);
         };
@@ -350,11 +406,10 @@ impl Scanner {
     /// A record that cannot be one.
     fn broken(&mut self, start: u64) -> std::io::Result<Step> {
         let step = self.resync(start)?;
-        let what = match step {
-            Step::End => format!("ends inside a record, after byte {start}"),
-            _ => format!("bytes {start} to {} are no record", self.position),
-        };
-        self.tell(what);
+        match step {
+            Step::End => self.tell_end(format!("ends inside a record, after byte {start}")),
+            _ => self.tell(format!("bytes {start} to {} are no record", self.position)),
+        }
         Ok(step)
     }
 

@@ -13,6 +13,7 @@ use super::layout::{
     CALIBRATION_ATTACHMENT, FORMAT_VERSION, METADATA_CRC_KEY, METADATA_NAME, RIG_ATTACHMENT, metadata_crc32,
     part_of,
 };
+use super::writer::DiskPath;
 
 /// What is attached to every file.
 #[derive(Debug, Clone, Default)]
@@ -46,12 +47,13 @@ impl Segment {
     /// Begins `file` (as `file.part`) with the header, what the file is, rig and calibration.
     pub fn create(
         file: PathBuf,
-        direct: bool,
+        disk: DiskPath,
         attached: &Attached,
         about: &[(&str, String)],
     ) -> Result<Self, RecordingError> {
         let part = part_of(&file);
-        let disk = DiskWriter::create(&part, direct).map_err(|e| RecordingError::io(&part, e))?;
+        let writer =
+            DiskWriter::create(&part, disk == DiskPath::Direct).map_err(|e| RecordingError::io(&part, e))?;
         let mut about: BTreeMap<String, String> = about
             .iter()
             .map(|(key, value)| ((*key).to_owned(), value.clone()))
@@ -64,7 +66,7 @@ impl Segment {
                 .calculate_data_section_crc(false)
                 .disable_seeking(true)
                 .library(concat!("pitchd ", env!("CARGO_PKG_VERSION")))
-                .create(NoSeek::new(disk))?;
+                .create(NoSeek::new(writer))?;
             writer.write_metadata(&Metadata {
                 name: METADATA_NAME.to_owned(),
                 metadata: about,
@@ -99,18 +101,13 @@ impl Segment {
     }
 
     /// Adds a channel with its schema; the same twice gives the same number.
-    pub fn add_channel(
-        &mut self,
-        topic: &str,
-        encoding: &str,
-        schema: &foxglove::Schema,
-    ) -> Result<u16, RecordingError> {
+    pub fn add_channel(&mut self, topic: &str, schema: &foxglove::Schema) -> Result<u16, RecordingError> {
         let mut add = || {
             let schema_id = self
                 .writer
                 .add_schema(&schema.name, &schema.encoding, &schema.data)?;
             self.writer
-                .add_channel(schema_id, topic, encoding, &BTreeMap::new())
+                .add_channel(schema_id, topic, &schema.encoding, &BTreeMap::new())
         };
         add().map_err(|e| RecordingError::mcap(&part_of(&self.file), e))
     }

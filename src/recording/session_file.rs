@@ -6,10 +6,10 @@ use std::path::Path;
 use mcap::records::op;
 
 use super::cursor::Cursor;
-use super::layout::FILES_ATTACHMENT;
+use super::frame_file::FileEntry;
+use super::layout::{FILES_ATTACHMENT, LOSSES_ATTACHMENT};
 use super::scan::{RECORD_HEADER_BYTES, SMALL_RECORD_BYTES_MAX};
 use super::summary::{Preamble, Trailer, attachment, read_preamble, read_trailer, small_record_damage};
-use super::writer::FileEntry;
 
 /// What the session file says.
 #[derive(Debug, Default)]
@@ -17,6 +17,8 @@ pub struct SessionRecord {
     pub preamble: Preamble,
     /// Finished camera files by name.
     pub files: BTreeMap<String, FileEntry>,
+    /// What earlier repairs had to give up.
+    pub losses: Vec<String>,
     /// What is wrong with the file.
     pub damage: Option<String>,
 }
@@ -35,7 +37,7 @@ pub fn read(path: &Path, finished: bool) -> std::io::Result<SessionRecord> {
         (Trailer::Missing, true) => Some("its end is missing".to_owned()),
         (_, false) => Some("was not finished: the recording was stopped".to_owned()),
     };
-    match file_list(path, &mut record.damage)? {
+    match file_list(path, &mut record)? {
         Ok(files) => record.files = files,
         Err(reason) => {
             record.damage.get_or_insert(reason);
@@ -47,7 +49,7 @@ pub fn read(path: &Path, finished: bool) -> std::io::Result<SessionRecord> {
 /// Walks the top-level records to the list of files, which is the last before the data end.
 fn file_list(
     path: &Path,
-    damage: &mut Option<String>,
+    record: &mut SessionRecord,
 ) -> std::io::Result<Result<BTreeMap<String, FileEntry>, String>> {
     use std::io::{Read, Seek, SeekFrom};
     let mut file = std::io::BufReader::new(std::fs::File::open(path)?);
@@ -55,7 +57,9 @@ fn file_list(
     let mut magic = [0; mcap::MAGIC.len()];
     let _ = file.read(&mut magic)?;
     if magic != *mcap::MAGIC {
-        damage.get_or_insert("does not begin as an MCAP file".to_owned());
+        record
+            .damage
+            .get_or_insert("does not begin as an MCAP file".to_owned());
     }
     let mut position = mcap::MAGIC.len() as u64;
     loop {
@@ -78,14 +82,22 @@ fn file_list(
                 let mut body = Vec::new();
                 file.by_ref().take(size).read_to_end(&mut body)?;
                 if let Some(what) = small_record_damage(opcode, &body) {
-                    damage.get_or_insert(format!("{what} at byte {broken_at}"));
+                    record.damage.get_or_insert(format!("{what} at byte {broken_at}"));
                 }
-                if opcode == op::ATTACHMENT
-                    && let Some((FILES_ATTACHMENT, json)) =
-                        attachment(&body).as_ref().map(|(n, j)| (n.as_str(), j))
-                {
-                    let parsed = serde_json::from_slice(json);
-                    return Ok(parsed.map_err(|e| format!("its list of files is broken: {e}")));
+                let attached = if opcode == op::ATTACHMENT {
+                    attachment(&body)
+                } else {
+                    None
+                };
+                match attached.as_ref().map(|(name, json)| (name.as_str(), json)) {
+                    Some((LOSSES_ATTACHMENT, json)) => {
+                        record.losses = serde_json::from_slice(json).unwrap_or_default();
+                    }
+                    Some((FILES_ATTACHMENT, json)) => {
+                        let parsed = serde_json::from_slice(json);
+                        return Ok(parsed.map_err(|e| format!("its list of files is broken: {e}")));
+                    }
+                    _ => {}
                 }
             }
             op::HEADER..=op::DATA_END | 0x80.. => {}

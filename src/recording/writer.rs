@@ -4,15 +4,13 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use serde::{Deserialize, Serialize};
-
 use super::error::RecordingError;
-use super::frame_info::{FrameInfo, RecordedFrame};
+use super::frame_file::{FileEntry, FrameFile, FrameFileHead};
+use super::frame_info::RecordedFrame;
 use super::layout::{
-    FILES_ATTACHMENT, IMAGE_CHANNEL, IMAGE_TOPIC, INFO_CHANNEL, INFO_TOPIC, PixelEncoding, SEGMENT_BYTES_MAX,
-    SEGMENT_SPAN_NS, SESSION_FILE, camera_file, is_session_file,
+    FILES_ATTACHMENT, LOSSES_ATTACHMENT, PixelEncoding, SEGMENT_BYTES_MAX, SEGMENT_SPAN_NS, SESSION_FILE,
+    camera_file, is_session_file,
 };
-use super::payload::{encode_image, image_schema};
 use super::segment::{Attached, Segment, SegmentFinishing};
 use crate::scene::CameraId;
 
@@ -48,18 +46,7 @@ pub struct CameraGeometry {
     pub height_px: u32,
 }
 
-/// What the session file says of a finished camera file.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct FileEntry {
-    /// Frames written.
-    pub frames: u64,
-    /// First and last frame number.
-    pub frame_span: [u64; 2],
-    /// First and last stamp.
-    pub stamp_span_ns: [i64; 2],
-}
-
-type FileEntries = BTreeMap<String, FileEntry>;
+pub(super) type FileEntries = BTreeMap<String, FileEntry>;
 
 /// A session being written.
 pub struct SessionWriter {
@@ -84,8 +71,12 @@ impl SessionWriter {
             });
         }
         let about = [("content", "session".to_owned())];
-        let direct = options.disk == DiskPath::Direct;
-        let mut session = Segment::create(folder.join(SESSION_FILE), direct, &attached(&options), &about)?;
+        let mut session = Segment::create(
+            folder.join(SESSION_FILE),
+            options.disk,
+            &attached(&options),
+            &about,
+        )?;
         session.flush()?;
         Ok(Self {
             folder: folder.to_owned(),
@@ -121,7 +112,6 @@ impl SessionWriter {
             next_segment: 0,
             last: None,
             finishing: Vec::new(),
-            image: Vec::new(),
         })
     }
 
@@ -129,12 +119,33 @@ impl SessionWriter {
     ///
     /// # Errors
     /// What the disk says.
-    pub fn finish(mut self) -> Result<(), RecordingError> {
+    pub fn finish(self) -> Result<(), RecordingError> {
         let files = self.files.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let list = serde_json::to_string(&files).expect("names and numbers always serialise");
-        self.session.attach(FILES_ATTACHMENT, "application/json", &list)?;
-        self.session.finish()?.wait()
+        end_session_file(self.session, &files, &[])
     }
+}
+
+/// Ends a session file with the list of the cameras' files and what earlier repairs had to give up.
+pub(super) fn end_session_file(
+    mut session: Segment,
+    files: &FileEntries,
+    losses: &[String],
+) -> Result<(), RecordingError> {
+    let json = |list: Result<String, serde_json::Error>| list.expect("names and numbers always serialise");
+    if !losses.is_empty() {
+        session.attach(
+            LOSSES_ATTACHMENT,
+            "application/json",
+            &json(serde_json::to_string(losses)),
+        )?;
+    }
+    // The list of files comes last: a reader stops at it.
+    session.attach(
+        FILES_ATTACHMENT,
+        "application/json",
+        &json(serde_json::to_string(files)),
+    )?;
+    session.finish()?.wait()
 }
 
 /// Empties a folder of its session, so that a new one can be made there.
@@ -168,13 +179,6 @@ fn attached(options: &SessionOptions) -> Attached {
     }
 }
 
-/// A file open for frames.
-struct OpenSegment {
-    segment: Segment,
-    entry: FileEntry,
-    flushed_ns: i64,
-}
-
 /// Writes the frames of one camera.
 pub struct CameraWriter {
     folder: PathBuf,
@@ -182,15 +186,11 @@ pub struct CameraWriter {
     geometry: CameraGeometry,
     options: Arc<SessionOptions>,
     files: Arc<Mutex<FileEntries>>,
-    open: Option<OpenSegment>,
+    open: Option<FrameFile>,
     next_segment: u32,
     last: Option<(u64, i64)>,
     finishing: Vec<(SegmentFinishing, String, FileEntry)>,
-    image: Vec<u8>,
 }
-
-/// Stamps between two flushes: what a kill may cost.
-const FLUSH_SPAN_NS: i64 = 1_000_000_000;
 
 impl CameraWriter {
     /// Appends a frame. Numbers and stamps must rise.
@@ -204,41 +204,20 @@ impl CameraWriter {
         let stamp = recorded.frame.stamp;
         let stamped_ns = stamp.stamped.nanos();
         let full = self.open.as_ref().is_some_and(|open| {
-            let [begin_ns, _] = open.entry.stamp_span_ns;
-            stamped_ns.saturating_sub(begin_ns) >= SEGMENT_SPAN_NS
-                || open.segment.bytes() >= SEGMENT_BYTES_MAX
+            let span_ns = open
+                .begin_ns()
+                .map_or(0, |begin_ns| stamped_ns.saturating_sub(begin_ns));
+            span_ns >= SEGMENT_SPAN_NS || open.bytes() >= SEGMENT_BYTES_MAX
         });
         if full {
-            self.close_segment()?;
+            self.close_file()?;
         }
         let mut open = match self.open.take() {
             Some(open) => open,
-            None => self.open_segment(stamp.frame, stamped_ns)?,
+            None => self.open_file()?,
         };
-        encode_image(
-            &recorded.frame,
-            self.camera.as_str(),
-            self.options.encoding,
-            &mut self.image,
-        )
-        .map_err(|reason| RecordingError::Encoding {
-            file: open.segment.file().to_owned(),
-            reason,
-        })?;
-        let mut info = FrameInfo::new(recorded, &self.camera, self.options.encoding);
-        let index = open.entry.frames as u32;
-        info.index = index;
-        open.segment
-            .write(INFO_CHANNEL, index, stamped_ns, &info.seal())?;
-        open.segment
-            .write(IMAGE_CHANNEL, index, stamped_ns, &self.image)?;
-        open.entry.frames += 1;
-        open.entry.frame_span[1] = stamp.frame;
-        open.entry.stamp_span_ns[1] = stamped_ns;
-        if stamped_ns.saturating_sub(open.flushed_ns) >= FLUSH_SPAN_NS {
-            open.segment.flush()?;
-            open.flushed_ns = stamped_ns;
-        }
+        // A file whose writing failed is dropped here: it stays as it is, `.part`.
+        open.write(recorded)?;
         self.last = Some((stamp.frame, stamped_ns));
         self.open = Some(open);
         Ok(())
@@ -276,43 +255,27 @@ impl CameraWriter {
         }
     }
 
-    fn open_segment(&mut self, frame: u64, stamped_ns: i64) -> Result<OpenSegment, RecordingError> {
-        let about = [
-            ("content", "frames".to_owned()),
-            ("camera", self.camera.to_string()),
-            ("segment", self.next_segment.to_string()),
-            ("width_px", self.geometry.width_px.to_string()),
-            ("height_px", self.geometry.height_px.to_string()),
-            ("encoding", self.options.encoding.name().to_owned()),
-        ];
+    fn open_file(&mut self) -> Result<FrameFile, RecordingError> {
+        let head = FrameFileHead {
+            camera: self.camera.clone(),
+            segment: self.next_segment,
+            geometry: self.geometry,
+            encoding: self.options.encoding,
+            disk: self.options.disk,
+            attached: attached(&self.options),
+        };
         let file = camera_file(&self.folder, &self.camera, self.next_segment);
-        let direct = self.options.disk == DiskPath::Direct;
-        let mut segment = Segment::create(file, direct, &attached(&self.options), &about)?;
         self.next_segment += 1;
-        let info_schema = foxglove::Schema::new("pitchd.FrameInfo", "protobuf", FrameInfo::schema());
-        let info_topic = format!("/{}/{INFO_TOPIC}", self.camera);
-        let image_topic = format!("/{}/{IMAGE_TOPIC}", self.camera);
-        // A new file numbers its channels from 1.
-        let info_channel = segment.add_channel(&info_topic, "protobuf", &info_schema)?;
-        let image_channel =
-            segment.add_channel(&image_topic, "protobuf", &image_schema(self.options.encoding))?;
-        debug_assert_eq!((info_channel, image_channel), (INFO_CHANNEL, IMAGE_CHANNEL));
-        Ok(OpenSegment {
-            segment,
-            entry: FileEntry {
-                frames: 0,
-                frame_span: [frame; 2],
-                stamp_span_ns: [stamped_ns; 2],
-            },
-            flushed_ns: stamped_ns,
-        })
+        FrameFile::create(file, &head)
     }
 
-    fn close_segment(&mut self) -> Result<(), RecordingError> {
+    fn close_file(&mut self) -> Result<(), RecordingError> {
         if let Some(open) = self.open.take() {
-            let name = open.segment.file().file_name().unwrap_or_default();
+            let name = open.file().file_name().unwrap_or_default();
             let name = name.to_string_lossy().into_owned();
-            self.finishing.push((open.segment.finish()?, name, open.entry));
+            if let (finishing, Some(entry)) = open.finish()? {
+                self.finishing.push((finishing, name, entry));
+            }
         }
         // Files that are long done are only asked how it went.
         while self.finishing.len() > 2 {
@@ -336,7 +299,7 @@ impl CameraWriter {
     /// # Errors
     /// What the disk says.
     pub fn finish(mut self) -> Result<(), RecordingError> {
-        self.close_segment()?;
+        self.close_file()?;
         while !self.finishing.is_empty() {
             self.settle_first()?;
         }
