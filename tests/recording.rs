@@ -8,6 +8,7 @@ use std::sync::Arc;
 
 use pitchd::recording::{
     CameraGeometry, LostFrames, PixelEncoding, RecordedFrame, SessionOptions, SessionReader, SessionWriter,
+    repair_session,
 };
 use pitchd::scene::{CameraId, Frame, FrameStamp};
 use pitchd::time::{ArrivalTime, DeviceTime, StampedMidpoint};
@@ -258,4 +259,200 @@ fn a_flipped_byte_costs_one_frame_and_is_told() {
 #[test]
 fn a_flipped_byte_in_the_session_file_costs_nothing() {
     flip_everywhere(PixelEncoding::Raw, "session.mcap", 1);
+}
+
+/// Breaks a file in several ways at once. Frames that come back must still be right.
+fn break_file(whole: &[u8], flips: &[(usize, u8)], cut: usize, hole: (usize, usize)) -> Vec<u8> {
+    let mut bytes = whole.to_vec();
+    for (place, mask) in flips {
+        let count = bytes.len();
+        bytes[place % count] ^= mask;
+    }
+    let (begin, length) = (hole.0 % bytes.len(), hole.1);
+    let end = (begin + length).min(bytes.len());
+    bytes.drain(begin..end);
+    bytes.truncate(cut.min(bytes.len()));
+    bytes
+}
+
+#[test]
+fn no_breakage_gives_a_wrong_frame_or_a_panic() {
+    use proptest::prelude::*;
+    use proptest::test_runner::{Config, TestRunner};
+    for encoding in [PixelEncoding::Raw, PixelEncoding::Png] {
+        let folder = tempfile::tempdir().unwrap();
+        write_session(folder.path(), encoding, SMALL, 6);
+        let file = file_of(folder.path(), "a.0000.mcap");
+        let session = file_of(folder.path(), "session.mcap");
+        let (whole, session_whole) = (fs::read(&file).unwrap(), fs::read(&session).unwrap());
+        let flips = proptest::collection::vec((any::<usize>(), 1..=255u8), 0..12);
+        let cut = prop_oneof![Just(usize::MAX), 0..whole.len()];
+        let hole = (any::<usize>(), prop_oneof![Just(0usize), 1..5000usize]);
+        let mut runner = TestRunner::new(Config {
+            cases: 400,
+            failure_persistence: None,
+            ..Default::default()
+        });
+        let strategy = (flips, cut, hole, any::<bool>());
+        runner
+            .run(&strategy, |(flips, cut, hole, session_too)| {
+                fs::write(&file, break_file(&whole, &flips, cut, hole)).unwrap();
+                let broken = break_file(&session_whole, &flips, cut, hole);
+                fs::write(
+                    &session,
+                    if session_too {
+                        broken
+                    } else {
+                        session_whole.clone()
+                    },
+                )
+                .unwrap();
+                let reader = SessionReader::open(folder.path()).unwrap();
+                let read = read_a(&reader, SMALL);
+                let lost: u64 = reader
+                    .damage()
+                    .iter()
+                    .filter(|d| d.camera == Some(camera("a")))
+                    .map(|d| d.frames_lost.count())
+                    .sum();
+                prop_assert!(read.len() as u64 + lost <= 6);
+                if !session_too {
+                    prop_assert_eq!(read.len() as u64 + lost, 6, "{:?}", reader.damage());
+                }
+                Ok(())
+            })
+            .unwrap();
+    }
+}
+
+/// What a killed recorder leaves: files without an end.
+fn write_killed(folder: &Path, frames: u64) {
+    let options = SessionOptions {
+        rig_toml: "r".to_owned(),
+        ..Default::default()
+    };
+    let mut session = SessionWriter::create(folder, options).unwrap();
+    let mut writer = session.camera(&camera("a"), SMALL).unwrap();
+    for number in 0..frames {
+        writer.write(&frame(1, number, SMALL)).unwrap();
+    }
+    // No destructor runs in a killed program.
+    std::mem::forget(writer);
+    std::mem::forget(session);
+    // The disk threads write what they were handed.
+    std::thread::sleep(std::time::Duration::from_millis(300));
+}
+
+#[test]
+fn a_killed_recording_is_read_and_repaired() {
+    let folder = tempfile::tempdir().unwrap();
+    let frames = 12_000_000_000 / PERIOD_NS as u64;
+    write_killed(folder.path(), frames);
+    assert!(folder.path().join("a.0001.mcap.part").exists());
+    let reader = SessionReader::open(folder.path()).unwrap();
+    let read = read_a(&reader, SMALL).len() as u64;
+    let second = 1_000_000_000 / PERIOD_NS as u64;
+    // A flush every second of stamps, and up to one block of the direct writes stays behind.
+    assert!(read + second + 3 >= frames, "{read} of {frames}");
+    let damage = reader.damage();
+    assert!(
+        damage.iter().any(|d| d.reason.contains("was not finished")),
+        "{damage:?}"
+    );
+    let repaired = repair_session(folder.path()).unwrap();
+    assert!(!repaired.is_empty());
+    assert!(!folder.path().join("a.0001.mcap.part").exists());
+    let reader = SessionReader::open(folder.path()).unwrap();
+    assert_eq!(read_a(&reader, SMALL).len() as u64, read);
+    assert_eq!(reader.damage(), []);
+    assert_eq!(reader.rig_toml(), Some("r"));
+    assert_eq!(repair_session(folder.path()).unwrap(), []);
+}
+
+#[test]
+fn a_repaired_file_has_all_good_frames_and_the_old_one_is_kept() {
+    for encoding in [PixelEncoding::Raw, PixelEncoding::Png] {
+        let folder = tempfile::tempdir().unwrap();
+        write_session(folder.path(), encoding, SMALL, 10);
+        let file = file_of(folder.path(), "a.0000.mcap");
+        let mut bytes = fs::read(&file).unwrap();
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 0x10;
+        fs::write(&file, &bytes).unwrap();
+        let repaired = repair_session(folder.path()).unwrap();
+        assert_eq!(repaired.len(), 1, "{repaired:?}");
+        assert_eq!(repaired[0].damage.frames_lost, LostFrames::Exactly(1));
+        assert_eq!(
+            fs::read(folder.path().join("a.0000.mcap.damaged")).unwrap(),
+            bytes
+        );
+        let reader = SessionReader::open(folder.path()).unwrap();
+        assert_eq!(read_a(&reader, SMALL).len(), 9);
+        assert_eq!(reader.damage(), []);
+        assert_eq!(reader.losses().len(), 1, "{:?}", reader.losses());
+        assert!(reader.losses()[0].contains("a.0000.mcap"));
+    }
+}
+
+#[test]
+fn folders_that_are_no_session_say_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let told = |path: &Path| SessionReader::open(path).unwrap_err().to_string();
+    assert!(told(folder.path()).ends_with("is empty, not a session"));
+    assert!(told(&folder.path().join("nowhere")).ends_with("nowhere: there is no such folder"));
+    let file = folder.path().join("notes.txt");
+    fs::write(&file, "x").unwrap();
+    assert!(told(&file).ends_with("is a file; a session is a folder"));
+    assert!(told(folder.path()).ends_with("is not a session: it holds no *.mcap file"));
+    let error = SessionWriter::create(folder.path(), SessionOptions::default())
+        .err()
+        .unwrap();
+    assert!(error.to_string().ends_with("exists and is not empty"), "{error}");
+}
+
+#[test]
+fn frames_of_the_wrong_size_or_order_are_refused_and_the_rest_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut session = SessionWriter::create(folder.path(), SessionOptions::default()).unwrap();
+    let mut writer = session.camera(&camera("a"), SMALL).unwrap();
+    assert!(session.camera(&camera("a"), SMALL).is_err());
+    writer.write(&frame(1, 0, SMALL)).unwrap();
+    let tall = CameraGeometry {
+        width_px: 64,
+        height_px: 50,
+    };
+    let error = writer.write(&frame(1, 1, tall)).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "camera a, frame 1: is (64, 50) pixels, expected (64, 48)"
+    );
+    let error = writer.write(&frame(1, 0, SMALL)).unwrap_err();
+    assert!(error.to_string().contains("frame 0 (stamp"), "{error}");
+    writer.write(&frame(1, 2, SMALL)).unwrap();
+    writer.finish().unwrap();
+    session.finish().unwrap();
+    let reader = SessionReader::open(folder.path()).unwrap();
+    assert_eq!(read_a(&reader, SMALL), [0, 2]);
+    assert_eq!(reader.damage(), []);
+}
+
+#[test]
+fn the_mcap_crate_reads_the_files_too() {
+    use mcap::MessageStream;
+    let folder = tempfile::tempdir().unwrap();
+    write_session(folder.path(), PixelEncoding::Raw, SMALL, 5);
+    let bytes = fs::read(folder.path().join("a.0000.mcap")).unwrap();
+    let summary = mcap::Summary::read(&bytes).unwrap().unwrap();
+    assert_eq!(summary.stats.unwrap().message_count, 10);
+    let topics: Vec<String> = MessageStream::new(&bytes)
+        .unwrap()
+        .map(|m| {
+            let channel = m.unwrap().channel;
+            format!("{} {}", channel.topic, channel.schema.as_ref().unwrap().name)
+        })
+        .collect();
+    assert_eq!(
+        topics[..2],
+        ["/a/frame_info pitchd.FrameInfo", "/a/image foxglove.RawImage"]
+    );
 }

@@ -47,19 +47,24 @@ pub fn run(args: &InfoArgs) -> anyhow::Result<()> {
 }
 
 fn print(session: &SessionReader, whole: Option<u64>) {
-    println!("{:16} {:>11} {:>7} {:>9} {:>9} files", "camera", "size", "frames", "span", "rate");
+    println!(
+        "{:16} {:>11} {:>7} {:>9} {:>9} files",
+        "camera", "size", "frames", "span", "rate"
+    );
     for camera in session.cameras() {
-        let size = camera.geometry.map_or_else(
-            || "?".to_owned(),
-            |g| format!("{}x{}", g.width_px, g.height_px),
-        );
+        let size = camera
+            .geometry
+            .map_or_else(|| "?".to_owned(), |g| format!("{}x{}", g.width_px, g.height_px));
         let frames = camera.frames.map_or_else(|| "?".to_owned(), |n| n.to_string());
         let (span, rate) = span_and_rate(camera).map_or_else(
             || ("?".to_owned(), "?".to_owned()),
             |(span_s, rate_hz)| (format!("{span_s:.3} s"), format!("{rate_hz:.2} Hz")),
         );
         let files = camera.files.len();
-        println!("{:16} {size:>11} {frames:>7} {span:>9} {rate:>9} {files}", camera.id.as_str());
+        println!(
+            "{:16} {size:>11} {frames:>7} {span:>9} {rate:>9} {files}",
+            camera.id.as_str()
+        );
     }
     let kept = |there: bool| if there { "yes" } else { "no" };
     println!(
@@ -83,7 +88,14 @@ fn span_and_rate(camera: &CameraRecording) -> Option<(f64, f64)> {
     let (first, last) = camera.span?;
     let span_s = last.seconds_since(first.nanos());
     let intervals = camera.frames?.checked_sub(1)?;
-    Some((span_s, if span_s > 0.0 { intervals as f64 / span_s } else { 0.0 }))
+    Some((
+        span_s,
+        if span_s > 0.0 {
+            intervals as f64 / span_s
+        } else {
+            0.0
+        },
+    ))
 }
 
 fn json(session: &SessionReader, whole: Option<u64>) -> serde_json::Value {

@@ -4,6 +4,8 @@ mod evaluate;
 mod evaluate_bound;
 mod export;
 mod import;
+mod info;
+mod recover;
 mod replay;
 mod simulate;
 mod solve;
@@ -41,6 +43,10 @@ pub enum Command {
     Import(import::ImportArgs),
     /// Replay a recorded session through the live pipeline: pitches, calibration, report.
     Replay(replay::ReplayArgs),
+    /// Show what is in a session, and what of it is broken.
+    Info(info::InfoArgs),
+    /// Make a killed or damaged session whole again.
+    Recover(recover::RecoverArgs),
     /// Make a session from a scenario: stadium, cameras, pitches, noise; truth beside it.
     Simulate(simulate::SimulateArgs),
     /// Solve 2-D tracks made by any program: delays, poses, pitches.
@@ -59,6 +65,8 @@ impl Cli {
             Command::Import(args) => import::run(args),
             Command::Replay(args) => replay::run(args),
             Command::Solve(args) => solve::run(args),
+            Command::Info(args) => info::run(args),
+            Command::Recover(args) => recover::run(args),
             Command::Simulate(args) => simulate::run(args),
         }
     }

@@ -14,7 +14,11 @@ pub fn portable_rig(path: &Path) -> Result<String, ConfigError> {
     let mut rig: toml::Table = toml::from_str(&text).map_err(|e| ConfigError::from_toml(path, &text, &e))?;
     let cameras = rig.get_mut("camera").and_then(toml::Value::as_array_mut);
     let mut changed = false;
-    for camera in cameras.into_iter().flatten().filter_map(toml::Value::as_table_mut) {
+    for camera in cameras
+        .into_iter()
+        .flatten()
+        .filter_map(toml::Value::as_table_mut)
+    {
         if let Some(toml::Value::String(name)) = camera.get("intrinsics") {
             let lens_path = path.parent().unwrap_or(Path::new(".")).join(name);
             let lens_text = read(&lens_path)?;
@@ -51,6 +55,9 @@ mod tests {
         let text = portable_rig(&rig).unwrap();
         assert_eq!(parse_rig(Path::new("/nowhere/rig.toml"), &text).unwrap(), wanted);
         std::fs::write(&rig, format!("{head}[camera.intrinsics]\n{lens}")).unwrap();
-        assert_eq!(portable_rig(&rig).unwrap(), std::fs::read_to_string(&rig).unwrap());
+        assert_eq!(
+            portable_rig(&rig).unwrap(),
+            std::fs::read_to_string(&rig).unwrap()
+        );
     }
 }

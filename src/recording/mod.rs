@@ -35,6 +35,7 @@ mod layout;
 mod payload;
 mod reader;
 mod repair;
+mod resync;
 mod scan;
 mod segment;
 mod session_file;

@@ -12,24 +12,21 @@ use mcap::records::op;
 
 use super::cursor::Cursor;
 use super::damage::{Damage, LostFrames};
-use super::frame_info::{FrameFlags, FrameInfo, INFO_BYTES_MAX, RecordedFrame};
+use super::frame_info::{FrameFlags, FrameInfo, RecordedFrame};
 use super::layout::{IMAGE_CHANNEL, INFO_CHANNEL};
 use super::payload::decode_image;
+use super::resync::{plain_chunk, search};
 use super::summary::{FileSummary, Trailer, read_trailer, small_record_damage};
 use crate::scene::CameraId;
 
 /// Opcode and length before every record.
 pub const RECORD_HEADER_BYTES: u64 = 9;
 /// Channel, sequence and two times before a message's data.
-const MESSAGE_HEADER_BYTES: u64 = 22;
+pub const MESSAGE_HEADER_BYTES: u64 = 22;
 /// Fields of a chunk before its records, without compression's name.
-const CHUNK_HEADER_BYTES: u64 = 40;
+pub const CHUNK_HEADER_BYTES: u64 = 40;
 /// Longest record that is neither chunk nor message.
 pub const SMALL_RECORD_BYTES_MAX: u64 = 64 << 20;
-/// Window of the search for the next good record.
-const SEARCH_BYTES: usize = 1 << 20;
-/// What a search needs to see behind a place to judge it.
-const SEARCH_AHEAD: usize = (RECORD_HEADER_BYTES + MESSAGE_HEADER_BYTES + INFO_BYTES_MAX) as usize;
 /// Reasons told one by one before "and n more".
 const REASONS_MAX: usize = 3;
 
@@ -396,7 +393,7 @@ impl Scanner {
                 return Ok(Step::Nothing);
             }
         }
-        if self.search(next, next + 1)? == Some(next) {
+        if search(&mut self.reader, next..next + 1, self.end)? == Some(next) {
             self.go_to(next)?;
             return Ok(Step::Nothing);
         }
@@ -414,7 +411,7 @@ impl Scanner {
     }
 
     fn resync(&mut self, start: u64) -> std::io::Result<Step> {
-        let found = self.search(start + 1, self.end)?;
+        let found = search(&mut self.reader, start + 1..self.end, self.end)?;
         let next = found.unwrap_or(self.end);
         self.bytes_lost += next.saturating_sub(start);
         self.go_to(next)?;
@@ -440,34 +437,6 @@ impl Scanner {
         Ok(())
     }
 
-    /// First place in `from..to` where a chunk or a frame info begins.
-    fn search(&mut self, from: u64, to: u64) -> std::io::Result<Option<u64>> {
-        let mut base = from;
-        let mut window = Vec::new();
-        while base < to.min(self.end) {
-            self.reader.seek(SeekFrom::Start(base))?;
-            window.clear();
-            let wanted = (to.min(self.end) - base).min(SEARCH_BYTES as u64);
-            // Judging the last places needs bytes behind `to`.
-            self.reader
-                .by_ref()
-                .take(wanted + SEARCH_AHEAD as u64)
-                .read_to_end(&mut window)?;
-            let places = (wanted as usize).min(window.len());
-            for place in 0..places {
-                let Some(bytes) = window.get(place..) else { break };
-                if frame_begins(bytes) {
-                    return Ok(Some(base + place as u64));
-                }
-            }
-            if places == 0 {
-                break;
-            }
-            base += places as u64;
-        }
-        Ok(None)
-    }
-
     /// The next `count` bytes; `None` when the file ends before.
     fn read_vec(&mut self, count: u64) -> std::io::Result<Option<Vec<u8>>> {
         if count > self.length.saturating_sub(self.position) {
@@ -480,44 +449,5 @@ impl Scanner {
             chunk.hasher.update(&bytes);
         }
         Ok((bytes.len() as u64 == count).then_some(bytes))
-    }
-}
-
-/// The checksum in the header of an uncompressed chunk, when its three lengths agree.
-fn plain_chunk(length: u64, fields: &[u8]) -> Option<u32> {
-    let mut cursor = Cursor::new(fields);
-    let (_begin, _end) = (cursor.u64()?, cursor.u64()?);
-    let uncompressed = cursor.u64()?;
-    let crc = cursor.u32()?;
-    let compression_length = cursor.u32()?;
-    let compressed = cursor.u64()?;
-    let agree = compression_length == 0
-        && uncompressed == compressed
-        && compressed.checked_add(CHUNK_HEADER_BYTES) == Some(length);
-    agree.then_some(crc)
-}
-
-fn frame_begins(bytes: &[u8]) -> bool {
-    let mut cursor = Cursor::new(bytes);
-    match cursor.bytes(1) {
-        Some([op::CHUNK]) => {
-            let length = cursor.u64();
-            let fields = cursor.bytes(CHUNK_HEADER_BYTES as usize);
-            matches!((length, fields), (Some(length), Some(fields)) if plain_chunk(length, fields).is_some())
-        }
-        Some([op::MESSAGE]) => {
-            let length = cursor.u64().unwrap_or(0);
-            let info_length = length.saturating_sub(MESSAGE_HEADER_BYTES);
-            (1..=INFO_BYTES_MAX).contains(&info_length)
-                && cursor
-                    .bytes(MESSAGE_HEADER_BYTES as usize)
-                    .and_then(|head| Cursor::new(head).u16())
-                    == Some(INFO_CHANNEL)
-                && cursor
-                    .bytes(info_length as usize)
-                    .and_then(FrameInfo::open)
-                    .is_some()
-        }
-        _ => false,
     }
 }
