@@ -8,7 +8,7 @@ use crate::recording::write_track_folder;
 use crate::scene::{Calibration, Pitch, Track};
 
 use super::error::ExportError;
-use super::report::{self, ReportInput};
+use super::report::{self, FreeReportInput, ReportInput, TrajectoryRow};
 use super::statcast;
 
 /// What can be read back.
@@ -40,12 +40,49 @@ pub fn write(folder: &Path, input: &ReportInput<'_>, tracks: &[Track]) -> Result
     )?;
     write_tracks(folder, tracks)?;
     replace(&report, &report::html(input))?;
-    // What was written must read back; serde_json writes a NaN as null and says nothing.
-    read(folder).map_err(|error| match error {
+    read(folder).map_err(not_finite)?;
+    Ok(report)
+}
+
+/// Writes `trajectory.csv`, `calibration.json`, `tracks/<camera>.csv` and `report.html` of a free motion;
+/// gives the report's path.
+///
+/// # Errors
+/// As [`write`].
+pub fn write_free(
+    folder: &Path,
+    input: &FreeReportInput<'_>,
+    tracks: &[Track],
+) -> Result<PathBuf, ExportError> {
+    std::fs::create_dir_all(folder).map_err(ExportError::writing(folder))?;
+    let (report, calibration) = (folder.join("report.html"), folder.join("calibration.json"));
+    replace(&folder.join("trajectory.csv"), &trajectory_csv(input.rows))?;
+    replace(&calibration, &calibration_json(input.calibration)?)?;
+    write_tracks(folder, tracks)?;
+    replace(&report, &report::free_html(input))?;
+    read_calibration(&calibration).map_err(not_finite)?;
+    Ok(report)
+}
+
+/// One row a frame of the reference camera: nanoseconds and metres to the micrometre.
+fn trajectory_csv(rows: &[TrajectoryRow]) -> String {
+    let mut text = "time_ns,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m,cameras\n".to_owned();
+    for row in rows {
+        let ([x, y, z], [sx, sy, sz]) = (row.position_m, row.sigma_m);
+        text += &format!(
+            "{},{x:.6},{y:.6},{z:.6},{sx:.6},{sy:.6},{sz:.6},{}\n",
+            row.time_ns, row.cameras
+        );
+    }
+    text
+}
+
+/// What was written must read back; serde_json writes a NaN as null and says nothing.
+fn not_finite(error: ExportError) -> ExportError {
+    match error {
         ExportError::Line { path, line, reason } => ExportError::NotFinite { path, line, reason },
         other => other,
-    })?;
-    Ok(report)
+    }
 }
 
 /// Reads `pitches.jsonl` and `calibration.json` of a results folder.
@@ -220,6 +257,38 @@ mod tests {
                 "tracks"
             ]
         );
+    }
+
+    #[test]
+    fn a_free_motion_has_a_row_a_frame() {
+        let (rig, calibration) = (fixture::rig(), fixture::calibration());
+        let row = |i: i64| TrajectoryRow {
+            time_ns: 1_775_001_600_000_000_007 + i,
+            position_m: [1.0, -2.5, 0.125],
+            sigma_m: [0.01, 0.02, 0.03],
+            cameras: 2,
+        };
+        let rows = [row(0), row(1)];
+        let input = FreeReportInput {
+            title: "drone",
+            rig: &rig,
+            calibration: &calibration,
+            rows: &rows,
+            residuals: &[],
+            warnings: &[],
+            facts: &[],
+        };
+        let folder = tempfile::tempdir().unwrap();
+        write_free(folder.path(), &input, &[track()]).unwrap();
+        let text = std::fs::read_to_string(folder.path().join("trajectory.csv")).unwrap();
+        assert_eq!(
+            text.lines().nth(1).unwrap(),
+            "1775001600000000007,1.000000,-2.500000,0.125000,0.010000,0.020000,0.030000,2"
+        );
+        assert_eq!(text.lines().count(), 3);
+        for name in ["calibration.json", "report.html", "tracks/first.csv"] {
+            assert!(folder.path().join(name).exists(), "{name}");
+        }
     }
 
     #[test]

@@ -2,8 +2,28 @@
 
 use crate::scene::{Calibration, WorldFrame};
 
-/// Statements about axes and signs, as HTML.
-pub(super) fn section(calibration: &Calibration) -> String {
+/// Statements about axes and signs for a page of pitches.
+pub(super) fn of_pitches(calibration: &Calibration) -> String {
+    section(
+        calibration,
+        "<li><b>Plate planes</b>: front y = 43.2 cm (17/12 ft), middle y = 21.6 cm (8.5/12 ft). Strikes are called at the \
+         middle: any part of the ball in a flat zone as wide as the plate. In <code>pitches.csv</code> the column \
+         <code>plate_plane</code> says where <code>plate_x</code> and <code>plate_z</code> are stated.</li>\
+         <li><b>Break</b> is Statcast’s pfx: release to the plate’s front, without gravity, positive to catcher’s right \
+         and up.</li><li>1 ft = 0.3048 m, 1 mph = 0.44704 m/s.</li>",
+    )
+}
+
+/// Statements about axes and signs for a page of one trajectory.
+pub(super) fn of_trajectory(calibration: &Calibration) -> String {
+    section(
+        calibration,
+        "<li><b>Times</b> are the reference camera’s: one row of <code>trajectory.csv</code> for each of its frames, \
+         <code>time_ns</code> in nanoseconds of its stamps; <code>cameras</code> counts those that saw the object then.</li>",
+    )
+}
+
+fn section(calibration: &Calibration, more_html: &str) -> String {
     let world = match calibration.world {
         WorldFrame::HomePlate => {
             "<b>Home plate frame: x to catcher’s right</b> (first-base side), y toward the pitcher, z up; right-handed, \
@@ -15,16 +35,12 @@ pub(super) fn section(calibration: &Calibration) -> String {
         }
     };
     format!(
-        "<ul class=\"plain\">\
-         <li>{world}</li>\
-         <li><b>Plate planes</b>: front y = 43.2 cm (17/12 ft), middle y = 21.6 cm (8.5/12 ft). Strikes are called at the middle: \
-         any part of the ball in a flat zone as wide as the plate. In <code>pitches.csv</code> the column <code>plate_plane</code> says where \
-         <code>plate_x</code> and <code>plate_z</code> are stated.</li>\
+        "<section><h2>What the numbers mean</h2>\n<ul class=\"plain\"><li>{world}</li>{more_html}\
          <li><b>Delay τ</b>: true exposure midpoint = stamped midpoint − τ; 0 for the reference camera. \
          τ &gt; 0: the frame stamped t shows the ball where it was at t − τ.</li>\
-         <li><b>Residual</b> = predicted − observed, in distorted pixels; the centre of the top-left pixel is (0, 0). RMS is that of the residual’s length.</li>\
+         <li><b>Residual</b> = predicted − observed, in distorted pixels; the centre of the top-left pixel is (0, 0). \
+         RMS is that of the residual’s length.</li>\
          <li><b>±</b> is one standard deviation and includes the uncertainty of the calibration; ellipses hold 95 %.</li>\
-         <li><b>Break</b> is Statcast’s pfx: release to the plate’s front, without gravity, positive to catcher’s right and up.</li>\
-         <li>1 ft = 0.3048 m, 1 mph = 0.44704 m/s.</li></ul>\n"
+         </ul></section>\n"
     )
 }

@@ -5,16 +5,19 @@ mod chart;
 mod conventions;
 mod cost_trace;
 mod flights;
+mod free;
 mod html;
+mod page;
 mod pitch_tables;
 mod residuals;
 mod strike_zone;
 
 use crate::flight::MPH_MPS;
-use crate::scene::{Calibration, CalibrationMethod, CameraId, Pitch, PitchQuality, Rig, WorldFrame};
+use crate::scene::{Calibration, CameraId, Pitch, PitchQuality, Rig, WorldFrame};
 
 use super::date::UtcDate;
 use super::statcast::PlatePlane;
+pub use free::{FreeReportInput, TrajectoryRow, free_html};
 use html::{count, escape, median, number};
 
 /// One reprojection residual (predicted − observed).
@@ -81,73 +84,38 @@ pub fn html(input: &ReportInput<'_>) -> String {
         body += &pitch_tables::measured(input.pitches);
         body += "</section>\n";
     }
-    body += "<section><h2>Cameras</h2>\n";
-    body += &cameras::delay_and_pose_table(calibration, input.rig);
-    body += "<div class=\"cards\">";
-    body += &cameras::map(calibration, input.rig.site.field);
-    body += &residuals::cards(input.residuals, calibration);
-    body += "</div>\n";
-    body += &cost_trace::plot(calibration);
-    body += "</section>\n";
-    body += "<section><h2>What the numbers mean</h2>\n";
-    body += &conventions::section(calibration);
-    body += "</section>\n";
-    page(&format!("{} · {}", input.title, input.rig.site.name), &body)
+    body += &camera_section(calibration, input.rig, input.residuals);
+    body += &conventions::of_pitches(calibration);
+    page::page(&format!("{} · {}", input.title, input.rig.site.name), &body)
 }
 
-/// The shell around a body of HTML.
-fn page(title: &str, body_html: &str) -> String {
+/// Delays, poses, residuals and, where there was one, the search.
+fn camera_section(calibration: &Calibration, rig: &Rig, residuals: &[Residual]) -> String {
     format!(
-        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <meta name=\"color-scheme\" content=\"light dark\">\n<title>{}</title>\n<style>\n{}</style>\n</head>\n\
-         <body>\n<main>\n{body_html}</main>\n<footer>pitchd {}</footer>\n</body>\n</html>\n",
-        escape(title),
-        include_str!("style.css"),
-        env!("CARGO_PKG_VERSION")
+        "<section><h2>Cameras</h2>\n{}<div class=\"cards\">{}{}</div>\n{}</section>\n",
+        cameras::delay_and_pose_table(calibration, rig),
+        cameras::map(calibration, rig.site.field),
+        residuals::cards(residuals, calibration),
+        cost_trace::plot(calibration)
     )
 }
 
-fn method_name(method: CalibrationMethod) -> &'static str {
-    match method {
-        CalibrationMethod::Joint => "joint estimate",
-        CalibrationMethod::Kim2019 => "kim2019",
-    }
-}
-
 fn head(input: &ReportInput<'_>) -> String {
-    let calibration = input.calibration;
+    let headline = format!(
+        "{} from {}",
+        count(input.pitches.len(), "pitch", "pitches"),
+        count(input.calibration.cameras.len(), "camera", "cameras")
+    );
+    let mut facts = page::facts(input.title, input.calibration);
     let start = input.pitches.iter().map(|p| p.release_time_ns).min();
-    let when = start.and_then(UtcDate::from_unix_nanos);
-    let mut facts = vec![
-        ("Session".to_owned(), input.title.to_owned()),
-        (
-            "Method".to_owned(),
-            format!(
-                "{}, calibration version {}",
-                method_name(calibration.method),
-                calibration.version
-            ),
-        ),
-        ("Reference camera".to_owned(), calibration.reference.to_string()),
-    ];
-    if let Some(when) = when {
+    if let Some(when) = start.and_then(UtcDate::from_unix_nanos) {
         facts.push((
             "First pitch".to_owned(),
             format!("{} {} UTC", when.day(), when.time()),
         ));
     }
     facts.extend_from_slice(input.facts);
-    let facts: String = facts
-        .iter()
-        .map(|(name, value)| format!("<div><dt>{}</dt><dd>{}</dd></div>", escape(name), escape(value)))
-        .collect();
-    format!(
-        "<header>\n<p class=\"kicker\">{}</p>\n<h1>{} from {}</h1>\n<dl class=\"facts\">{facts}</dl>\n</header>\n",
-        escape(&input.rig.site.name),
-        count(input.pitches.len(), "pitch", "pitches"),
-        count(calibration.cameras.len(), "camera", "cameras"),
-    )
+    page::head(&input.rig.site.name, &headline, &facts)
 }
 
 /// Warnings before any number.
@@ -178,13 +146,7 @@ fn warnings(input: &ReportInput<'_>) -> String {
             ));
         }
     }
-    if all.is_empty() {
-        return String::new();
-    }
-    let items: String = all.iter().map(|w| format!("<li>{w}</li>")).collect();
-    format!(
-        "<section class=\"warnings\" aria-label=\"Warnings\"><h2>Mind this</h2><ul>{items}</ul></section>\n"
-    )
+    page::warnings(&all)
 }
 
 /// The few numbers that tell how good the session is.
@@ -234,11 +196,7 @@ fn key_figures(input: &ReportInput<'_>) -> String {
             "reprojection, median rms",
         ),
     ];
-    let tiles: String = tiles
-        .iter()
-        .map(|(value, name)| format!("<div><b>{value}</b><span>{name}</span></div>"))
-        .collect();
-    format!("<section class=\"figures\" aria-label=\"Key figures\">{tiles}</section>\n")
+    page::tiles(&tiles)
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use super::super::fixture;
 use super::*;
-use crate::scene::CostStep;
+use crate::scene::{CalibrationMethod, CostStep};
 
 fn residuals(pitches: &[Pitch], calibration: &Calibration) -> Vec<Residual> {
     // Low-discrepancy spread through a logistic quantile: the same on every run, and roughly normal.
@@ -151,4 +151,52 @@ fn a_pitch_with_numbers_that_are_not_finite_does_not_spoil_the_page() {
         assert!(!page.contains("NaN"));
         assert!(page.contains("drawn at its edge: 1, 3."));
     });
+}
+
+#[test]
+fn a_free_motion_has_its_own_page() {
+    let (rig, mut calibration) = (fixture::rig(), fixture::calibration());
+    calibration.world = WorldFrame::ReferenceCamera;
+    // A helix of 60 s at 30 Hz with a gap of 4 s in it.
+    let rows: Vec<TrajectoryRow> = (0..1800)
+        .filter(|i| !(600..720).contains(i))
+        .map(|i| {
+            let t = f64::from(i) / 30.0;
+            TrajectoryRow {
+                time_ns: i64::from(i) * 33_333_333,
+                position_m: [8.0 * (0.3 * t).sin(), 12.0 + 8.0 * (0.3 * t).cos(), 1.0 + 0.1 * t],
+                sigma_m: [0.05, 0.11, 0.04],
+                cameras: 2,
+            }
+        })
+        .collect();
+    let page = free_html(&FreeReportInput {
+        title: "drone <1>",
+        rig: &rig,
+        calibration: &calibration,
+        rows: &rows,
+        residuals: &residuals(&fixture::pitches(), &calibration),
+        warnings: &[],
+        facts: &[],
+    });
+    for words in [
+        "A trajectory of 60.0 s from 2 cameras",
+        "<b>2</b><span>unbroken pieces",
+        "drone &lt;1&gt;",
+        "From above",
+        "trajectory.csv",
+    ] {
+        assert!(page.contains(words), "{words}");
+    }
+    assert!(!page.contains("NaN") && !page.contains("Catcher"));
+    let none = FreeReportInput {
+        title: "",
+        rig: &rig,
+        calibration: &calibration,
+        rows: &[],
+        residuals: &[],
+        warnings: &[],
+        facts: &[],
+    };
+    assert!(free_html(&none).contains("No part of the motion was solved."));
 }
