@@ -7,6 +7,7 @@ pub mod error;
 pub mod free;
 pub mod initial;
 pub mod joint;
+pub mod kim2019;
 mod metric;
 pub mod path;
 mod polish;

@@ -164,7 +164,7 @@ fn assemble(mut pitches: Vec<PitchTracks>, solution: JointSolution) -> Calibrati
     }
 }
 
-fn solve_the_rest(rig: &Rig, outcome: &mut CalibrationOutcome) {
+pub(crate) fn solve_the_rest(rig: &Rig, outcome: &mut CalibrationOutcome) {
     let options = FlightOptions::for_site(&rig.site, outcome.calibration.world);
     for (pitch, tracks) in outcome.pitches.iter_mut().enumerate() {
         if outcome.flights.iter().any(|f| f.pitch == pitch) {
