@@ -16,6 +16,7 @@ pub mod cli;
 pub mod config;
 pub mod daemon;
 pub mod detection;
+pub mod emulation;
 pub mod evaluation;
 pub mod export;
 pub mod eye;

@@ -21,6 +21,10 @@ const ALLOWED: &[(&str, &[&str])] = &[
     ("recording", &["time", "geometry", "scene"]),
     ("capture", &["time", "geometry", "scene", "recording", "vision"]),
     ("simulation", &["time", "geometry", "scene", "recording"]),
+    (
+        "emulation",
+        &["time", "geometry", "scene", "recording", "simulation"],
+    ),
     ("export", &["time", "geometry", "scene", "flight", "recording"]),
     (
         "evaluation",
@@ -73,6 +77,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
             "recording",
             "capture",
             "simulation",
+            "emulation",
             "export",
             "evaluation",
             "config",

@@ -1,5 +1,6 @@
 //! The command line: one file a subcommand; no mathematics.
 
+mod emulate;
 mod evaluate;
 mod evaluate_bound;
 mod export;
@@ -35,6 +36,8 @@ pub struct Cli {
 /// Every subcommand.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// Serve frames as a real GigE Vision camera on the network.
+    Emulate(emulate::EmulateArgs),
     /// Score results against truth; the estimators' own experiments.
     Evaluate(evaluate::EvaluateArgs),
     /// Write analyst files (Statcast, TrackMan, JSON lines) from results.
@@ -60,6 +63,7 @@ impl Cli {
     /// Whatever stopped the command, in words for a person.
     pub fn run(&self) -> anyhow::Result<()> {
         match &self.command {
+            Command::Emulate(args) => emulate::run(args),
             Command::Evaluate(args) => evaluate::run(args),
             Command::Export(args) => export::run(args),
             Command::Import(args) => import::run(args),

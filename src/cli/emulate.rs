@@ -1,0 +1,127 @@
+//! `pitchd emulate`: a GigE Vision camera in software.
+
+use std::io::BufRead;
+use std::net::Ipv4Addr;
+use std::time::{Duration, Instant, SystemTime};
+
+use anyhow::{Context, bail};
+
+use crate::emulation::{Drill, Emulator, EmulatorOptions, Faults, Script, ScriptShape, pattern};
+use crate::scene::CameraId;
+
+/// Serve frames as a real GigE Vision camera on the network.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example: a camera that any GigE Vision program can open (127.0.0.x needs no privileges):
+  pitchd emulate pattern:2048x1024 --camera first --address 127.0.0.5 &
+  arv-tool-0.8 -a 127.0.0.5 control DeviceSerialNumber
+
+Commands on standard input, one a line: freeze S, disconnect S, reboot S, clock S (step the device clock),
+faults KEY=VALUE,…, loss P, reorder_ms MS, jitter_ms MS, quit. Faults: loss, reorder, reorder_ms, jitter_ms,
+clock_offset_s, skew_ppm.")]
+pub struct EmulateArgs {
+    /// What the camera sees: `pattern:WIDTHxHEIGHT`.
+    pub source: String,
+    /// Id of the camera; also its user-defined name.
+    #[arg(long)]
+    pub camera: String,
+    /// Address to serve on; UDP port 3956 must be free there.
+    #[arg(long)]
+    pub address: Ipv4Addr,
+    /// Serial number [default: made from the camera's id].
+    #[arg(long)]
+    pub serial: Option<String>,
+    /// Frames a second of a pattern.
+    #[arg(long, default_value_t = 175.0)]
+    pub rate: f64,
+    /// Faults from the start, as in `loss=0.01,skew_ppm=50,clock_offset_s=1000`.
+    #[arg(long, default_value = "")]
+    pub faults: String,
+    /// Speed of the link that is stood in for, Gb/s; 0: as fast as it goes.
+    #[arg(long, default_value_t = 5.0)]
+    pub link_gbps: f64,
+    /// Unix time at which the source begins, so that several cameras begin together [default: with the first acquisition].
+    #[arg(long)]
+    pub start_at: Option<f64>,
+    /// Seed of the faults.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+}
+
+/// Runs until `quit` on standard input or a signal.
+pub fn run(args: &EmulateArgs) -> anyhow::Result<()> {
+    let camera = CameraId::new(&args.camera)?;
+    let (shape, script) = open(args)?;
+    let faults = Faults::default().changed_by(&args.faults).context("--faults")?;
+    let serial = args.serial.clone().unwrap_or_else(|| format!("EMU-{camera}"));
+    let options = EmulatorOptions {
+        user_name: camera.to_string(),
+        faults,
+        link_gbps: args.link_gbps,
+        begin: args.start_at.map(instant_of),
+        seed: args.seed,
+        ..EmulatorOptions::new(args.address, &serial)
+    };
+    let emulator = Emulator::start(&options, shape, script)?;
+    println!(
+        "camera {camera}: {}x{} Mono8, {} Hz, serial {serial}, at {}",
+        shape.width_px, shape.height_px, shape.rate_hz, args.address
+    );
+    obey_standard_input(&emulator);
+    // Standard input is closed: serve on until a signal ends the program.
+    while !emulator.is_stopped() {
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    let counters = emulator.counters();
+    println!(
+        "{} frames, {} skipped, {} packets, {} lost, {} resent",
+        counters.frames, counters.skipped, counters.packets, counters.lost, counters.resent
+    );
+    Ok(())
+}
+
+fn obey_standard_input(emulator: &Emulator) {
+    for line in std::io::stdin().lock().lines().map_while(Result::ok) {
+        if line.trim() == "stats" {
+            println!("{:?}", emulator.counters());
+            continue;
+        }
+        match Drill::parse(&line, emulator.faults()) {
+            Ok(drill) => emulator.drill(drill),
+            Err(error) => eprintln!("pitchd: {error}"),
+        }
+        if emulator.is_stopped() {
+            return;
+        }
+    }
+}
+
+fn open(args: &EmulateArgs) -> anyhow::Result<(ScriptShape, Script)> {
+    let Some(size) = args.source.strip_prefix("pattern:") else {
+        bail!("{}: not a source; use pattern:WIDTHxHEIGHT", args.source);
+    };
+    let numbers = size
+        .split_once('x')
+        .and_then(|(w, h)| Some((w.parse().ok()?, h.parse().ok()?)));
+    let (width_px, height_px) = numbers
+        .filter(|(w, h)| (8..=8192).contains(w) && (8..=8192).contains(h))
+        .with_context(|| format!("{}: use pattern:WIDTHxHEIGHT, each 8 to 8192", args.source))?;
+    if !(1.0..=1000.0).contains(&args.rate) {
+        bail!("--rate {}: 1 to 1000 Hz", args.rate);
+    }
+    let shape = ScriptShape {
+        width_px,
+        height_px,
+        rate_hz: args.rate,
+        exposure_s: 0.001,
+    };
+    Ok((shape, pattern(shape)))
+}
+
+/// The instant of a Unix time; now if it has passed.
+fn instant_of(unix_s: f64) -> Instant {
+    let now_s = SystemTime::now()
+        .duration_since(SystemTime::UNIX_EPOCH)
+        .map_or(0.0, |d| d.as_secs_f64());
+    Instant::now() + Duration::try_from_secs_f64(unix_s - now_s).unwrap_or_default()
+}
