@@ -1,8 +1,9 @@
-//! Where frames come from: one trait; a recording, a folder of images, a video file.
+//! Where frames come from: one trait; a recording, a folder of images, a video file; and live cameras.
 //!
 //! A source is an iterator over the frames of one camera by rising stamps. Everything after it is the same
 //! code, live or not.
 
+pub mod aravis;
 mod error;
 mod image_folder;
 mod recording;

@@ -111,7 +111,8 @@ fn handle(
             Ok([0_u16.to_be_bytes(), count.to_be_bytes()].concat())
         }
         Request::PacketResend { block, first, last } => {
-            if holds {
+            // Receivers ask from the socket on which they receive: the same host, another port.
+            if holder.as_ref().is_some_and(|h| h.who.ip() == from.ip()) {
                 let _ = orders.send(Order::Resend(*block, *first, *last));
             }
             Ok(Vec::new())

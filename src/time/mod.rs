@@ -10,8 +10,10 @@
 //! reference camera. τ > 0 means the frame stamped `t` shows the ball where it was at `t − τ`.
 
 mod clock_model;
+mod host_clock;
 
 pub use clock_model::{ClockEvent, ClockModel, ClockModelOptions, ClockReading};
+pub use host_clock::{HostClock, SystemClock};
 
 use serde::{Deserialize, Serialize};
 

@@ -1,0 +1,310 @@
+//! One open camera: frames in place, losses by cause, and an end that blocks nobody.
+
+use std::net::Ipv4Addr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use aravis::prelude::*;
+use aravis::{Buffer, Camera};
+use crossbeam_channel::{Receiver, Sender, unbounded};
+
+use super::error::LiveError;
+use super::ffi::{PooledFrame, RawStream};
+use super::frame_number::FrameNumber;
+use super::open;
+use super::options::LiveOptions;
+use super::probe;
+use crate::scene::{Frame, FrameStamp};
+use crate::time::{
+    ArrivalTime, ClockEvent, ClockModel, ClockModelOptions, DeviceTime, HostClock, StampedMidpoint,
+};
+
+/// Frames lost, by cause, since the camera was first opened.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+pub struct LiveCounters {
+    /// Whole frames.
+    pub frames: u64,
+    /// Numbers missing between whole frames; the causes below are among them.
+    pub missing: u64,
+    /// Frames that came with packets missing in spite of resends.
+    pub incomplete: u64,
+    /// Frames for which no buffer was free: the readers are too slow.
+    pub underruns: u64,
+    /// Packets that were asked for again.
+    pub resend_requests: u64,
+    /// Frames whose device time could not be believed.
+    pub clock_outliers: u64,
+}
+
+/// A frame with what the clock model says of it.
+#[derive(Debug, Clone)]
+pub struct LiveFrame {
+    /// Image and times.
+    pub frame: Frame,
+    /// 1σ of the stamp, seconds.
+    pub stamp_sigma_s: f64,
+    /// Rises when the capture delay may have changed.
+    pub clock_epoch: u32,
+    /// Exposure, seconds.
+    pub exposure_s: f64,
+    /// Frames lost right before this one.
+    pub lost_before: u64,
+}
+
+/// What a wait brought.
+#[derive(Debug)]
+pub enum Next {
+    /// A whole frame.
+    Frame(LiveFrame),
+    /// A frame that was not whole; it is counted.
+    Incomplete,
+    /// Nothing within the time.
+    Nothing,
+}
+
+/// What outlives a connection: the frames' memory, numbers, clock and counters of one camera.
+pub struct CameraMemory {
+    home: Sender<Buffer>,
+    returns: Receiver<Buffer>,
+    numbers: FrameNumber,
+    last_number: u64,
+    clock: ClockModel,
+    counters: LiveCounters,
+    last_stamp: Option<StampedMidpoint>,
+}
+
+impl Default for CameraMemory {
+    fn default() -> Self {
+        let (home, returns) = unbounded();
+        Self {
+            home,
+            returns,
+            numbers: FrameNumber::default(),
+            last_number: 0,
+            clock: ClockModel::new(ClockModelOptions::default()),
+            counters: LiveCounters::default(),
+            last_stamp: None,
+        }
+    }
+}
+
+impl CameraMemory {
+    /// Counters so far.
+    pub fn counters(&self) -> LiveCounters {
+        self.counters
+    }
+    /// Rate of the camera's clock over the host's, ppm, with 1σ.
+    pub fn skew_ppm(&self) -> Option<(f64, f64)> {
+        self.clock.skew_ppm()
+    }
+}
+
+/// A streaming camera. One thread owns it; see `ffi.rs`.
+pub struct LiveCamera {
+    options: LiveOptions,
+    address: Ipv4Addr,
+    camera: Camera,
+    stream: RawStream,
+    payload_bytes: usize,
+    exposure_s: f64,
+    packet_size: u32,
+    model: String,
+    /// The library's own counters when the stream began, so that ours go on over reconnections.
+    underruns_seen: u64,
+    resends_seen: u64,
+}
+
+impl LiveCamera {
+    /// Finds, opens, sets up and starts a camera.
+    ///
+    /// # Errors
+    /// What stands in the way, with what to do.
+    pub fn start(options: &LiveOptions, memory: &mut CameraMemory) -> Result<Self, LiveError> {
+        let address = open::locate(options)?;
+        open::check_free(options, address)?;
+        let opened = open::open(options, address)?;
+        let live = Self {
+            options: options.clone(),
+            address,
+            camera: opened.camera,
+            stream: opened.stream,
+            payload_bytes: opened.payload_bytes,
+            exposure_s: opened.exposure_s,
+            packet_size: opened.packet_size,
+            model: opened.model,
+            underruns_seen: 0,
+            resends_seen: 0,
+        };
+        // Frames still with a reader come home later; memory of another size is let go.
+        let mut given = 0;
+        while let Ok(buffer) = memory.returns.try_recv() {
+            if given < options.buffers && live.fits(&buffer) {
+                live.stream.push(buffer);
+                given += 1;
+            }
+        }
+        for _ in given..options.buffers {
+            live.stream.push(Buffer::new_allocate(live.payload_bytes));
+        }
+        memory.numbers = FrameNumber::after(memory.last_number);
+        memory.clock.restart();
+        live.camera
+            .start_acquisition()
+            .map_err(|error| LiveError::Library {
+                camera: options.camera.clone(),
+                doing: "start the acquisition",
+                reason: error.message().to_owned(),
+            })?;
+        Ok(live)
+    }
+
+    fn fits(&self, buffer: &Buffer) -> bool {
+        buffer.data().1 == self.payload_bytes
+    }
+
+    /// Where it is.
+    pub fn address(&self) -> Ipv4Addr {
+        self.address
+    }
+    /// Its model.
+    pub fn model(&self) -> &str {
+        &self.model
+    }
+    /// Packet size in use.
+    pub fn packet_size(&self) -> u32 {
+        self.packet_size
+    }
+
+    /// Waits for the next frame.
+    pub fn next(&mut self, memory: &mut CameraMemory, clock: &dyn HostClock, patience: Duration) -> Next {
+        while let Ok(buffer) = memory.returns.try_recv() {
+            self.stream.push(buffer);
+        }
+        let timeout_us = u64::try_from(patience.as_micros()).unwrap_or(u64::MAX);
+        let Some(buffer) = self.stream.pop(timeout_us) else {
+            self.count(memory);
+            return Next::Nothing;
+        };
+        let (width_px, height_px) = self.options.size_px;
+        let count = width_px as usize * height_px as usize;
+        // Metadata of a buffer that is not complete is of its previous use.
+        let (id, device_ns, arrival_unix_ns) =
+            (buffer.frame_id(), buffer.timestamp(), buffer.system_timestamp());
+        match PooledFrame::new(buffer, count, memory.home.clone()) {
+            Err(buffer) => {
+                self.stream.push(buffer);
+                memory.counters.incomplete += 1;
+                Next::Incomplete
+            }
+            Ok(pixels) => {
+                let arrival = clock.monotonic_of_unix(arrival_unix_ns);
+                let stamped = self.stamp(memory, (id, device_ns), arrival);
+                let (stamp, sigma_s, epoch, lost_before) = stamped;
+                Next::Frame(LiveFrame {
+                    frame: Frame {
+                        stamp,
+                        width_px,
+                        height_px,
+                        pixels: Arc::new(pixels),
+                    },
+                    stamp_sigma_s: sigma_s,
+                    clock_epoch: epoch,
+                    exposure_s: self.exposure_s,
+                    lost_before,
+                })
+            }
+        }
+    }
+
+    fn stamp(
+        &mut self,
+        memory: &mut CameraMemory,
+        (id, device_ns): (u64, u64),
+        arrival: ArrivalTime,
+    ) -> (FrameStamp, f64, u32, u64) {
+        let device = DeviceTime::from_nanos(i64::try_from(device_ns).unwrap_or(i64::MAX));
+        let reading = memory.clock.push(device, arrival, self.exposure_s);
+        // After a reconnection the numbers go on as if the camera had never stopped.
+        if memory.numbers.is_first()
+            && let Some(last) = memory.last_stamp
+        {
+            let gap_s = reading.stamped.seconds_since(last.nanos()).clamp(0.0, 1e6);
+            let unseen = (gap_s * self.options.frame_rate_hz).round() as u64;
+            memory.counters.missing += unseen.saturating_sub(1);
+            memory.numbers = FrameNumber::after(memory.last_number + unseen.saturating_sub(1));
+        }
+        let (frame, lost) = memory.numbers.number(id);
+        memory.last_number = frame;
+        memory.last_stamp = Some(reading.stamped);
+        memory.counters.frames += 1;
+        memory.counters.missing += lost;
+        if matches!(reading.event, Some(ClockEvent::Outlier { .. })) {
+            memory.counters.clock_outliers += 1;
+        }
+        if let Some(event @ (ClockEvent::Restarted { .. } | ClockEvent::Wrapped { .. })) = reading.event {
+            tracing::warn!(camera = %self.options.camera, frame, ?event, "the camera's clock");
+        }
+        if lost > 0 || frame.is_multiple_of(64) {
+            self.count(memory);
+        }
+        let stamp = FrameStamp {
+            frame,
+            device: Some(device),
+            arrival: Some(arrival),
+            stamped: reading.stamped,
+        };
+        (stamp, reading.sigma_s, reading.epoch, lost)
+    }
+
+    /// Adds what the library has counted since the last look.
+    fn count(&mut self, memory: &mut CameraMemory) {
+        for (name, seen, ours) in [
+            (
+                "n_underruns",
+                &mut self.underruns_seen,
+                &mut memory.counters.underruns,
+            ),
+            (
+                "n_resend_requests",
+                &mut self.resends_seen,
+                &mut memory.counters.resend_requests,
+            ),
+        ] {
+            let now = self.stream.counter(name);
+            *ours += now.saturating_sub(*seen);
+            *seen = now;
+        }
+    }
+
+    /// Whether the camera answers and is still held (by us): `None` when it is silent.
+    pub fn is_held(&self) -> Option<bool> {
+        (0..3).find_map(|_| probe::is_held(self.address, Duration::from_millis(100)))
+    }
+
+    /// Stops a camera that is alive.
+    pub fn stop(self) {
+        let _ = self.camera.stop_acquisition();
+    }
+
+    /// Lets go of a camera that does not answer. Its tear-down blocks for up to twelve seconds: a thread of its own
+    /// does that.
+    pub fn abandon(self) {
+        let name = "camera-teardown".to_owned();
+        let parts = (self.stream, self.camera);
+        if let Err(error) = std::thread::Builder::new().name(name).spawn(move || drop(parts)) {
+            tracing::error!(camera = %self.options.camera, %error, "the dead camera is torn down in line");
+        }
+    }
+}
+
+/// Receive buffer that the system grants when `asked` is asked for; less means `net.core.rmem_max` is too small.
+///
+/// # Errors
+/// No socket to be had.
+pub fn granted_socket_buffer(asked: usize) -> std::io::Result<usize> {
+    use socket2::{Domain, Socket, Type};
+    let socket = Socket::new(Domain::IPV4, Type::DGRAM, None)?;
+    socket.set_recv_buffer_size(asked)?;
+    // The kernel answers twice what it books for payload.
+    Ok(socket.recv_buffer_size()? / 2)
+}

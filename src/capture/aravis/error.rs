@@ -1,0 +1,111 @@
+//! Why a live camera cannot be used, and what to do about it.
+
+use std::net::Ipv4Addr;
+
+use crate::scene::CameraId;
+
+/// A live camera's trouble.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum LiveError {
+    /// Nobody answers.
+    #[error(
+        "camera {camera}: no answer from {sought}; check power, cable and address (pitchd cameras lists what is there)"
+    )]
+    Absent {
+        /// Camera.
+        camera: CameraId,
+        /// What was looked for.
+        sought: String,
+    },
+    /// Another camera is there.
+    #[error("camera {camera}: {address} is serial {found}, not {expected}; correct `serial` or `address`")]
+    AnotherCamera {
+        /// Camera.
+        camera: CameraId,
+        /// Where.
+        address: Ipv4Addr,
+        /// Serial found.
+        found: String,
+        /// Serial asked for.
+        expected: String,
+    },
+    /// Several cameras fit.
+    #[error("camera {camera}: {count} cameras answer to {sought}; give serial or address")]
+    Ambiguous {
+        /// Camera.
+        camera: CameraId,
+        /// What was looked for.
+        sought: String,
+        /// How many.
+        count: usize,
+    },
+    /// Another program holds it.
+    #[error(
+        "camera {camera}: {address} is controlled by another program; end that program, or wait for its heartbeat (3 s) if it crashed"
+    )]
+    Held {
+        /// Camera.
+        camera: CameraId,
+        /// Where.
+        address: Ipv4Addr,
+    },
+    /// It cannot give Mono8.
+    #[error(
+        "camera {camera}: no pixel format Mono8 (it has {available}); choose a monochrome camera or mode"
+    )]
+    PixelFormat {
+        /// Camera.
+        camera: CameraId,
+        /// What it has.
+        available: String,
+    },
+    /// A setting is refused.
+    #[error("camera {camera}: {setting} = {value} is refused: {reason}")]
+    Setting {
+        /// Camera.
+        camera: CameraId,
+        /// Which.
+        setting: &'static str,
+        /// Asked value.
+        value: String,
+        /// The library's words.
+        reason: String,
+    },
+    /// A setting did not stay.
+    #[error(
+        "camera {camera}: {setting} is {got}, asked was {asked}; lower the rate, the region or the exposure"
+    )]
+    NotKept {
+        /// Camera.
+        camera: CameraId,
+        /// Which.
+        setting: &'static str,
+        /// As the camera has it.
+        got: f64,
+        /// As asked.
+        asked: f64,
+    },
+    /// The link is too slow.
+    #[error(
+        "camera {camera}: {needed_mbps:.0} Mb/s are needed, its link has {link_mbps:.0} Mb/s; \
+         use a faster port, a smaller region or a lower rate"
+    )]
+    LinkTooSlow {
+        /// Camera.
+        camera: CameraId,
+        /// Needed.
+        needed_mbps: f64,
+        /// There.
+        link_mbps: f64,
+    },
+    /// The library failed.
+    #[error("camera {camera}: {doing}: {reason}")]
+    Library {
+        /// Camera.
+        camera: CameraId,
+        /// What was being done.
+        doing: &'static str,
+        /// The library's words.
+        reason: String,
+    },
+}

@@ -1,0 +1,198 @@
+//! The only unsafe code about cameras: what the `aravis` crate does not offer, or offers unsoundly.
+//!
+//! # Why this is sound
+//! * **Threads.** Aravis asks that one object is not used from two threads at once; only pushing and popping of a
+//!   stream's buffers is free of that (its queues are `GAsyncQueue`s). The crate's `Camera`, `Stream` and `Buffer` are
+//!   `Send + Clone`, so two threads *could* call one object from safe code. Here none is ever cloned, and all of them
+//!   stay inside [`RawStream`] and the opened camera, which one thread owns at a time.
+//! * **Buffers.** A popped buffer belongs to us until it is pushed back: the receive thread does not touch it. A
+//!   [`PooledFrame`] owns the only reference that anybody but the library's dead queues could have; what is shared
+//!   between threads is the byte slice alone, which nobody writes until the last reader lets go and the owner thread
+//!   pushes the buffer back. `Buffer::new_preallocated_owned` (a safe function that trusts any pointer) is not used.
+//! * **Callbacks.** The stream's callback runs on the receive thread, takes no pointer of ours (the priority travels
+//!   as the value of the pointer), acts on the INIT event alone, and cannot panic across the border.
+//! * **Global state.** Discovery through the library changes global lists: it holds [`DEVICE_LIST`].
+
+#![allow(unsafe_code, reason = "the border to Aravis; every block says why it holds")]
+
+use std::ffi::CStr;
+use std::ops::Deref;
+use std::os::raw::{c_char, c_void};
+use std::ptr;
+use std::sync::Mutex;
+
+use aravis::glib::object::Cast;
+use aravis::glib::translate::{ToGlibPtr, from_glib_full};
+use aravis::glib::{self};
+use aravis::prelude::*;
+use aravis::{Buffer, BufferStatus, Camera, GvStream, Stream};
+use crossbeam_channel::Sender;
+
+/// One at a time through the library's global device list.
+static DEVICE_LIST: Mutex<()> = Mutex::new(());
+
+/// A stream whose receive thread was made real-time as it began.
+pub struct RawStream(Stream);
+
+/// Runs on the receive thread; `data` is the wanted priority, not an address.
+unsafe extern "C" fn on_stream_event(
+    data: *mut c_void,
+    event: aravis_sys::ArvStreamCallbackType,
+    _buffer: *mut aravis_sys::ArvBuffer,
+) {
+    if event == aravis_sys::ARV_STREAM_CALLBACK_TYPE_INIT && !data.is_null() {
+        let priority = i32::try_from(data as usize).unwrap_or(1).clamp(1, 99);
+        // SAFETY: no arguments but a number; acts on the calling thread.
+        unsafe {
+            aravis_sys::arv_make_thread_realtime(priority);
+        }
+    }
+}
+
+impl RawStream {
+    /// Creates the stream of a camera; its receive thread gets `realtime_priority` if the system allows.
+    ///
+    /// # Errors
+    /// What the library says.
+    pub fn create(camera: &Camera, realtime_priority: Option<u8>) -> Result<Self, glib::Error> {
+        let priority = usize::from(realtime_priority.unwrap_or(0));
+        let mut error = ptr::null_mut();
+        // SAFETY: the camera is alive for the call; the callback is a plain function that stays for ever and takes
+        // `priority` as a value; `error` is a valid place. A stream or an error is handed to us, owned.
+        unsafe {
+            let stream = aravis_sys::arv_camera_create_stream(
+                camera.to_glib_none().0,
+                Some(on_stream_event),
+                ptr::without_provenance_mut(priority),
+                &mut error,
+            );
+            if !error.is_null() {
+                return Err(from_glib_full(error));
+            }
+            if stream.is_null() {
+                return Err(glib::Error::new(
+                    aravis::DeviceError::Unknown,
+                    "no stream and no reason",
+                ));
+            }
+            Ok(Self(from_glib_full(stream)))
+        }
+    }
+
+    /// The GigE Vision side of the stream, for its settings; `None` for USB.
+    pub fn gige(&self) -> Option<&GvStream> {
+        self.0.downcast_ref::<GvStream>()
+    }
+
+    /// Gives a buffer to the receive thread.
+    pub fn push(&self, buffer: Buffer) {
+        self.0.push_buffer(buffer);
+    }
+
+    /// Waits for a buffer.
+    pub fn pop(&self, timeout_us: u64) -> Option<Buffer> {
+        self.0.timeout_pop_buffer(timeout_us)
+    }
+
+    /// One of the library's counters by name.
+    pub fn counter(&self, name: &str) -> u64 {
+        self.0.info_uint64_by_name(name)
+    }
+}
+
+/// The pixels of a frame in the buffer that the receive thread filled. Dropping it sends the buffer home.
+pub struct PooledFrame {
+    buffer: Option<Buffer>,
+    bytes: *const u8,
+    count: usize,
+    home: Sender<Buffer>,
+}
+
+// SAFETY: the raw pointer is into memory that the buffer owns, and the buffer may move between threads (its
+// reference count is atomic, nobody else uses it). Shared access reads plain bytes and calls nothing.
+unsafe impl Send for PooledFrame {}
+// SAFETY: as above: `&PooledFrame` gives `&[u8]` and nothing of the GObject.
+unsafe impl Sync for PooledFrame {}
+
+impl PooledFrame {
+    /// Wraps a complete popped buffer of at least `count` bytes; gives it back if it is not that.
+    ///
+    /// # Errors
+    /// The buffer itself, to be pushed again.
+    pub fn new(buffer: Buffer, count: usize, home: Sender<Buffer>) -> Result<Self, Buffer> {
+        let (bytes, received) = buffer.data();
+        if buffer.status() != BufferStatus::Success || bytes.is_null() || received < count {
+            return Err(buffer);
+        }
+        Ok(Self {
+            buffer: Some(buffer),
+            bytes,
+            count,
+            home,
+        })
+    }
+}
+
+impl Deref for PooledFrame {
+    type Target = [u8];
+    fn deref(&self) -> &[u8] {
+        // SAFETY: `new` saw `count` received bytes at `bytes`; the buffer owns them, lives as long as `self`, and is
+        // written by nobody until it is pushed to a stream, which `drop` alone sets off.
+        unsafe { std::slice::from_raw_parts(self.bytes, self.count) }
+    }
+}
+
+impl Drop for PooledFrame {
+    fn drop(&mut self) {
+        if let Some(buffer) = self.buffer.take() {
+            // A pool that is gone needs no buffers: then this one is freed here.
+            let _ = self.home.send(buffer);
+        }
+    }
+}
+
+/// A camera as the library's own discovery found it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ListedDevice {
+    /// `Vendor-Model-Serial`.
+    pub id: String,
+    /// Vendor.
+    pub vendor: String,
+    /// Model.
+    pub model: String,
+    /// Serial number.
+    pub serial: String,
+    /// IP address or USB bus path.
+    pub address: String,
+    /// `GigEVision` or `USB3Vision`.
+    pub protocol: String,
+}
+
+/// Asks all interfaces (takes about a second).
+pub fn list_devices() -> Vec<ListedDevice> {
+    let _one_at_a_time = DEVICE_LIST.lock();
+    let text = |of: unsafe extern "C" fn(u32) -> *const c_char, index: u32| {
+        // SAFETY: `index` is below the count under the lock; the string belongs to the library and is copied at once.
+        let pointer = unsafe { of(index) };
+        if pointer.is_null() {
+            return String::new();
+        }
+        // SAFETY: a non-null string of the library ends with a zero.
+        unsafe { CStr::from_ptr(pointer) }.to_string_lossy().into_owned()
+    };
+    // SAFETY: only this function touches the library's list, under the lock.
+    let count = unsafe {
+        aravis_sys::arv_update_device_list();
+        aravis_sys::arv_get_n_devices()
+    };
+    (0..count)
+        .map(|i| ListedDevice {
+            id: text(aravis_sys::arv_get_device_id, i),
+            vendor: text(aravis_sys::arv_get_device_vendor, i),
+            model: text(aravis_sys::arv_get_device_model, i),
+            serial: text(aravis_sys::arv_get_device_serial_nbr, i),
+            address: text(aravis_sys::arv_get_device_address, i),
+            protocol: text(aravis_sys::arv_get_device_protocol, i),
+        })
+        .collect()
+}

@@ -1,0 +1,25 @@
+//! Live cameras through Aravis: GigE Vision and USB3 Vision.
+//!
+//! ```text
+//! receive thread (Aravis, real-time) ─ whole buffers ─► capture thread ─ LiveFrame ─► readers
+//!         ▲                                                 │ ▲                         │ last one drops it
+//!         └───────────────── push ──────────────────────────┘ └────── the same buffer ──┘
+//! ```
+//!
+//! A frame is read in the buffer in which the library assembled it; nothing is copied. All unsafe code and the argument
+//! for it are in `ffi.rs`. The measured traps that shaped this room (global open lock, slow tear-down, silent loss,
+//! packet timeouts made for 20 fps) are named where they are avoided.
+
+mod camera;
+mod error;
+mod ffi;
+mod frame_number;
+mod open;
+mod options;
+mod probe;
+
+pub use camera::{CameraMemory, LiveCamera, LiveCounters, LiveFrame, Next, granted_socket_buffer};
+pub use error::LiveError;
+pub use ffi::{ListedDevice, list_devices};
+pub use options::{CameraAddress, LiveOptions, PacketPath, Ptp};
+pub use probe::{Found, discover, is_held, ping};

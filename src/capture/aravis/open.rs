@@ -1,0 +1,288 @@
+//! Finds, opens and sets up one camera.
+
+use std::net::Ipv4Addr;
+use std::time::Duration;
+
+use aravis::prelude::*;
+use aravis::{Camera, GvStreamOption, GvStreamPacketResend, GvStreamSocketBuffer, PixelFormat, UvUsbMode};
+
+use super::error::LiveError;
+use super::ffi::RawStream;
+use super::options::{LiveOptions, PacketPath, Ptp};
+use super::probe;
+
+/// How long a camera may take to answer a ping.
+const PING: Duration = Duration::from_millis(100);
+const DISCOVERY: Duration = Duration::from_millis(500);
+/// Ethernet, IP, UDP and GVSP bytes of a packet over its pixels.
+const OVERHEAD: f64 = 1.01;
+
+/// Where the camera is now.
+///
+/// # Errors
+/// Absent, another camera, or several.
+pub fn locate(options: &LiveOptions) -> Result<Ipv4Addr, LiveError> {
+    let which = &options.which;
+    let sought = || which.to_string();
+    let fits = |found: &probe::Found| {
+        which.serial.as_ref().is_none_or(|s| *s == found.serial)
+            && which.user_name.as_ref().is_none_or(|n| *n == found.user_name)
+    };
+    if let Some(address) = which.address {
+        if let Some(found) = (0..3).find_map(|_| probe::ping(address, PING)) {
+            if fits(&found) {
+                return Ok(address);
+            }
+            if which.serial.is_none() {
+                return Err(LiveError::Absent {
+                    camera: options.camera.clone(),
+                    sought: sought(),
+                });
+            }
+            // The right camera may have moved to another address: look below, else say who is here.
+            return search(options, fits).map_err(|error| match error {
+                LiveError::Absent { camera, .. } => LiveError::AnotherCamera {
+                    camera,
+                    address,
+                    found: found.serial,
+                    expected: which.serial.clone().unwrap_or_default(),
+                },
+                other => other,
+            });
+        }
+        if which.serial.is_none() && which.user_name.is_none() {
+            return Err(LiveError::Absent {
+                camera: options.camera.clone(),
+                sought: sought(),
+            });
+        }
+    }
+    search(options, fits)
+}
+
+fn search(options: &LiveOptions, fits: impl Fn(&probe::Found) -> bool) -> Result<Ipv4Addr, LiveError> {
+    let found: Vec<_> = probe::discover(DISCOVERY).into_iter().filter(fits).collect();
+    match found.as_slice() {
+        [] => Err(LiveError::Absent {
+            camera: options.camera.clone(),
+            sought: options.which.to_string(),
+        }),
+        [one] => Ok(one.address),
+        several => Err(LiveError::Ambiguous {
+            camera: options.camera.clone(),
+            sought: options.which.to_string(),
+            count: several.len(),
+        }),
+    }
+}
+
+/// Refuses a camera that another program holds.
+///
+/// # Errors
+/// [`LiveError::Held`], or no answer.
+pub fn check_free(options: &LiveOptions, address: Ipv4Addr) -> Result<(), LiveError> {
+    let camera = options.camera.clone();
+    match (0..3).find_map(|_| probe::is_held(address, PING)) {
+        Some(false) => Ok(()),
+        Some(true) => Err(LiveError::Held { camera, address }),
+        None => Err(LiveError::Absent {
+            camera,
+            sought: address.to_string(),
+        }),
+    }
+}
+
+/// A camera that is set up, before it streams.
+pub struct Opened {
+    pub camera: Camera,
+    pub stream: RawStream,
+    pub payload_bytes: usize,
+    pub exposure_s: f64,
+    pub packet_size: u32,
+    pub model: String,
+}
+
+/// Opens and sets up the camera at an address (which must have answered a ping).
+///
+/// # Errors
+/// Whatever is refused, by name.
+pub fn open(options: &LiveOptions, address: Ipv4Addr) -> Result<Opened, LiveError> {
+    let failed = |doing: &'static str| {
+        let camera = options.camera.clone();
+        move |error: aravis::glib::Error| LiveError::Library {
+            camera,
+            doing,
+            reason: error.message().to_owned(),
+        }
+    };
+    let camera = Camera::new(Some(&address.to_string())).map_err(failed("open"))?;
+    // A camera left streaming by a crashed program refuses new settings.
+    let _ = camera.stop_acquisition();
+    set_image(options, &camera)?;
+    let exposure_s = set_timing(options, &camera)?;
+    if options.ptp == Ptp::WhereAvailable && camera.is_feature_available("PtpEnable").unwrap_or(false) {
+        let refused = setting(options, "PtpEnable", true);
+        camera.set_boolean("PtpEnable", true).map_err(refused)?;
+    }
+    let payload_bytes = camera.payload().map_err(failed("read PayloadSize"))? as usize;
+    let packet_size = set_transport(options, &camera)?;
+    check_link(options, &camera, payload_bytes)?;
+    let stream =
+        RawStream::create(&camera, options.realtime_priority).map_err(failed("create the stream"))?;
+    tune(options, &stream);
+    Ok(Opened {
+        model: camera.model_name().map(|m| m.to_string()).unwrap_or_default(),
+        camera,
+        stream,
+        payload_bytes,
+        exposure_s,
+        packet_size,
+    })
+}
+
+fn setting<T: std::fmt::Display>(
+    options: &LiveOptions,
+    setting: &'static str,
+    value: T,
+) -> impl FnOnce(aravis::glib::Error) -> LiveError {
+    let camera = options.camera.clone();
+    move |error| LiveError::Setting {
+        camera,
+        setting,
+        value: value.to_string(),
+        reason: error.message().to_owned(),
+    }
+}
+
+fn set_image(options: &LiveOptions, camera: &Camera) -> Result<(), LiveError> {
+    if camera.set_pixel_format(PixelFormat::MONO_8).is_err()
+        || camera.pixel_format().is_ok_and(|f| f != PixelFormat::MONO_8)
+    {
+        let available = camera
+            .dup_available_pixel_formats_as_strings()
+            .map(|names| {
+                names
+                    .iter()
+                    .map(ToString::to_string)
+                    .collect::<Vec<_>>()
+                    .join(", ")
+            })
+            .unwrap_or_default();
+        return Err(LiveError::PixelFormat {
+            camera: options.camera.clone(),
+            available,
+        });
+    }
+    let (width, height) = options.size_px;
+    let (x, y) = options.offset_px;
+    let [x, y, w, h] = [x, y, width, height].map(|n| i32::try_from(n).unwrap_or(i32::MAX));
+    let refused = setting(options, "region", format!("{width}x{height} at {x}, {y}"));
+    camera.set_region(x, y, w, h).map_err(refused)?;
+    let (_, _, got_w, got_h) = camera
+        .region()
+        .map_err(setting(options, "region", "as read back"))?;
+    if (got_w, got_h) != (w, h) {
+        return Err(LiveError::NotKept {
+            camera: options.camera.clone(),
+            setting: "region (columns)",
+            got: f64::from(if got_w == w { got_h } else { got_w }),
+            asked: f64::from(if got_w == w { h } else { w }),
+        });
+    }
+    Ok(())
+}
+
+/// Free-running, at the asked rate and exposure; answers the exposure in seconds.
+fn set_timing(options: &LiveOptions, camera: &Camera) -> Result<f64, LiveError> {
+    if camera.is_feature_available("TriggerMode").unwrap_or(false) {
+        camera
+            .set_string("TriggerMode", "Off")
+            .map_err(setting(options, "TriggerMode", "Off"))?;
+    }
+    if let Some(exposure_s) = options.exposure_s {
+        let refused = setting(options, "exposure", exposure_s);
+        camera.set_exposure_time(1e6 * exposure_s).map_err(refused)?;
+    }
+    let rate_hz = options.frame_rate_hz;
+    camera
+        .set_frame_rate(rate_hz)
+        .map_err(setting(options, "frame rate", rate_hz))?;
+    let got_hz = camera
+        .frame_rate()
+        .map_err(setting(options, "frame rate", rate_hz))?;
+    if (got_hz - rate_hz).abs() > 0.005 * rate_hz {
+        return Err(LiveError::NotKept {
+            camera: options.camera.clone(),
+            setting: "frame rate, Hz",
+            got: got_hz,
+            asked: rate_hz,
+        });
+    }
+    if let Some(gain_db) = options.gain_db {
+        camera
+            .set_gain(gain_db)
+            .map_err(setting(options, "gain", gain_db))?;
+    }
+    camera
+        .exposure_time()
+        .map(|us| 1e-6 * us)
+        .map_err(setting(options, "exposure", "as read back"))
+}
+
+fn set_transport(options: &LiveOptions, camera: &Camera) -> Result<u32, LiveError> {
+    if camera.is_uv_device() {
+        // The asynchronous mode of 0.8.26 spins on an empty queue and may wait for ever; 0.8.29 mends it.
+        camera.uv_set_usb_mode(UvUsbMode::Sync);
+        return Ok(0);
+    }
+    camera.gv_set_stream_options(match options.path {
+        PacketPath::UdpSocket => GvStreamOption::PACKET_SOCKET_DISABLED,
+        PacketPath::PacketSocket => GvStreamOption::NONE,
+    });
+    match options.packet_size {
+        Some(size) => {
+            let asked = i32::try_from(size).unwrap_or(i32::MAX);
+            camera
+                .gv_set_packet_size(asked)
+                .map_err(setting(options, "packet size", size))?;
+            camera.gv_set_packet_size_adjustment(aravis::GvPacketSizeAdjustment::Never);
+        }
+        None => camera
+            .gv_auto_packet_size()
+            .map_err(setting(options, "packet size", "negotiated"))?,
+    }
+    camera
+        .gv_get_packet_size()
+        .map_err(setting(options, "packet size", "as read back"))
+}
+
+fn check_link(options: &LiveOptions, camera: &Camera, payload_bytes: usize) -> Result<(), LiveError> {
+    // Megabits per second by the SFNC for both names.
+    let told = ["DeviceLinkSpeed", "GevLinkSpeed"].iter().find_map(|name| {
+        let there = camera.is_feature_available(name).unwrap_or(false);
+        camera.integer(name).ok().filter(|v| there && *v > 0)
+    });
+    let Some(link_mbps) = told.map(|v| v as f64) else {
+        return Ok(());
+    };
+    let needed_mbps = 8e-6 * payload_bytes as f64 * options.frame_rate_hz * OVERHEAD;
+    if needed_mbps > link_mbps {
+        return Err(LiveError::LinkTooSlow {
+            camera: options.camera.clone(),
+            needed_mbps,
+            link_mbps,
+        });
+    }
+    Ok(())
+}
+
+/// Timeouts for 175 fps: with the library's own (20 ms, 100 ms) a lost packet holds up all later frames.
+fn tune(options: &LiveOptions, stream: &RawStream) {
+    let Some(gige) = stream.gige() else { return };
+    gige.set_socket_buffer(GvStreamSocketBuffer::Fixed);
+    gige.set_socket_buffer_size(i32::try_from(options.socket_buffer_bytes).unwrap_or(i32::MAX));
+    gige.set_packet_resend(GvStreamPacketResend::Always);
+    gige.set_packet_timeout(1000);
+    gige.set_initial_packet_timeout(200);
+    gige.set_frame_retention(8000);
+}

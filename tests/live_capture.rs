@@ -1,0 +1,258 @@
+//! Live cameras through Aravis, against the emulated camera on loopback addresses: real protocol, real threads.
+
+use std::net::Ipv4Addr;
+use std::time::{Duration, Instant};
+
+use pitchd::capture::aravis::{
+    CameraAddress, CameraMemory, LiveCamera, LiveError, LiveFrame, LiveOptions, Next, is_held, ping,
+};
+use pitchd::emulation::{Drill, Emulator, EmulatorOptions, Faults, ScriptShape, pattern};
+use pitchd::scene::CameraId;
+use pitchd::time::SystemClock;
+
+const SHAPE: ScriptShape = ScriptShape {
+    width_px: 640,
+    height_px: 320,
+    rate_hz: 60.0,
+    exposure_s: 0.002,
+};
+
+fn emulator(last: u8, serial: &str, faults: Faults) -> (Emulator, LiveOptions) {
+    let address = Ipv4Addr::new(127, 0, 92, last);
+    let options = EmulatorOptions {
+        faults,
+        ..EmulatorOptions::new(address, serial)
+    };
+    let emulator = Emulator::start(&options, SHAPE, pattern(SHAPE)).unwrap();
+    let which = CameraAddress {
+        address: Some(address),
+        ..CameraAddress::default()
+    };
+    let camera = CameraId::new("first").unwrap();
+    let live = LiveOptions {
+        buffers: 8,
+        packet_size: Some(1500),
+        realtime_priority: None,
+        ..LiveOptions::new(camera, which, (640, 320), 60.0)
+    };
+    (emulator, live)
+}
+
+/// The next whole frame within two seconds.
+fn frame(camera: &mut LiveCamera, memory: &mut CameraMemory) -> Option<LiveFrame> {
+    let until = Instant::now() + Duration::from_secs(2);
+    while Instant::now() < until {
+        if let Next::Frame(frame) = camera.next(memory, &SystemClock, Duration::from_millis(100)) {
+            return Some(frame);
+        }
+    }
+    None
+}
+
+#[test]
+fn frames_come_whole_in_order_and_in_place() {
+    let (emulator, options) = emulator(
+        1,
+        "L1",
+        Faults {
+            clock_offset_s: 77.0,
+            skew_ppm: 80.0,
+            ..Faults::default()
+        },
+    );
+    let expected: Vec<_> = pattern(SHAPE).take(16).map(|f| f.pixels).collect();
+    let mut memory = CameraMemory::default();
+    let mut camera = LiveCamera::start(&options, &mut memory).unwrap();
+    let mut places = std::collections::BTreeSet::new();
+    let mut last: Option<LiveFrame> = None;
+    for _ in 0..150 {
+        let now = frame(&mut camera, &mut memory).unwrap();
+        let bytes = now.frame.bytes();
+        assert_eq!(bytes.len(), 640 * 320);
+        assert!(
+            expected.iter().any(|e| e[..] == *bytes),
+            "the frame that was sent"
+        );
+        places.insert(bytes.as_ptr() as usize);
+        if let Some(last) = &last {
+            assert!(now.frame.stamp.frame > last.frame.stamp.frame);
+            let frames = (now.frame.stamp.frame - last.frame.stamp.frame) as f64;
+            let apart_s = now
+                .frame
+                .stamp
+                .stamped
+                .seconds_since(last.frame.stamp.stamped.nanos());
+            // The device's clock spaces the stamps; before it is known the envelope may still fall by some ms.
+            assert!(
+                (apart_s * 60.0 - frames).abs() < 0.5,
+                "{apart_s} s for {frames} frames"
+            );
+        }
+        let device = now.frame.stamp.device.unwrap().nanos();
+        assert!((77_000_000_000..100_000_000_000).contains(&device), "{device}");
+        last = Some(now);
+    }
+    // Eight buffers serve all frames: they are read where they were assembled.
+    assert!(places.len() <= 8, "{} places", places.len());
+    camera.stop();
+    let counters = memory.counters();
+    println!("{counters:?} {:?}", emulator.counters());
+    assert!(counters.frames == 150 && counters.underruns == 0);
+}
+
+#[test]
+fn a_reader_that_keeps_all_buffers_costs_frames_and_nothing_else() {
+    let (_emulator, options) = emulator(2, "L2", Faults::default());
+    let mut memory = CameraMemory::default();
+    let mut camera = LiveCamera::start(&options, &mut memory).unwrap();
+    let kept: Vec<_> = (0..8).filter_map(|_| frame(&mut camera, &mut memory)).collect();
+    assert_eq!(kept.len(), 8);
+    let before: Vec<u8> = kept[0].frame.bytes().to_vec();
+    std::thread::sleep(Duration::from_millis(300));
+    assert!(matches!(
+        camera.next(&mut memory, &SystemClock, Duration::from_millis(50)),
+        Next::Nothing
+    ));
+    assert_eq!(kept[0].frame.bytes(), before, "a kept frame does not change");
+    let numbers = kept.last().unwrap().frame.stamp.frame;
+    // Readers let go on other threads.
+    std::thread::spawn(move || drop(kept)).join().unwrap();
+    let again = frame(&mut camera, &mut memory).unwrap();
+    assert!(again.lost_before >= 10 && again.frame.stamp.frame == numbers + again.lost_before + 1);
+    assert!(memory.counters().underruns >= 10, "{:?}", memory.counters());
+}
+
+#[test]
+fn lost_packets_are_sent_again_and_what_stays_lost_is_counted() {
+    let (emulator, options) = emulator(
+        3,
+        "L3",
+        Faults {
+            loss: 0.005,
+            ..Faults::default()
+        },
+    );
+    let mut memory = CameraMemory::default();
+    let mut camera = LiveCamera::start(&options, &mut memory).unwrap();
+    let (mut first, mut last) = (None, 0);
+    for _ in 0..120 {
+        let number = frame(&mut camera, &mut memory).unwrap().frame.stamp.frame;
+        first.get_or_insert(number);
+        last = number;
+    }
+    let counters = memory.counters();
+    println!("{counters:?} {:?}", emulator.counters());
+    // 140 packets a frame, 0.5 % lost: half of all frames would be incomplete without resends.
+    assert!(emulator.counters().resent > 20, "{:?}", emulator.counters());
+    assert_eq!(last - first.unwrap() + 1, 120 + counters.missing);
+    assert!(counters.missing < 30);
+}
+
+#[test]
+fn a_rebooted_camera_is_opened_again_with_the_same_memory() {
+    let (emulator, options) = emulator(
+        4,
+        "L4",
+        Faults {
+            clock_offset_s: 500.0,
+            ..Faults::default()
+        },
+    );
+    let mut memory = CameraMemory::default();
+    let mut camera = LiveCamera::start(&options, &mut memory).unwrap();
+    let before = frame(&mut camera, &mut memory).unwrap();
+    assert_eq!(camera.is_held(), Some(true));
+    emulator.drill(Drill::Reboot(Duration::from_millis(700)));
+    let silent = Instant::now();
+    while !matches!(
+        camera.next(&mut memory, &SystemClock, Duration::from_millis(100)),
+        Next::Nothing
+    ) {}
+    assert_eq!(camera.is_held(), None, "off");
+    assert!(silent.elapsed() < Duration::from_secs(1));
+    let letting_go = Instant::now();
+    camera.abandon();
+    assert!(
+        letting_go.elapsed() < Duration::from_millis(100),
+        "tear-down blocks nobody"
+    );
+    assert!(matches!(
+        LiveCamera::start(&options, &mut memory),
+        Err(LiveError::Absent { .. })
+    ));
+    std::thread::sleep(Duration::from_millis(800).saturating_sub(silent.elapsed()));
+    let mut again = None;
+    for _ in 0..40 {
+        match LiveCamera::start(&options, &mut memory) {
+            Ok(camera) => {
+                again = Some(camera);
+                break;
+            }
+            Err(error) => println!("{error}"),
+        }
+        std::thread::sleep(Duration::from_millis(250));
+    }
+    let after = frame(&mut again.unwrap(), &mut memory).unwrap();
+    assert!(
+        after.clock_epoch > before.clock_epoch,
+        "its delay is to be estimated anew"
+    );
+    assert!(
+        after.frame.stamp.device < before.frame.stamp.device,
+        "its clock began anew"
+    );
+    let passed_s = after
+        .frame
+        .stamp
+        .stamped
+        .seconds_since(before.frame.stamp.stamped.nanos());
+    let numbers = (after.frame.stamp.frame - before.frame.stamp.frame) as f64;
+    assert!(
+        (numbers / 60.0 - passed_s).abs() < 0.1,
+        "{numbers} frames in {passed_s} s"
+    );
+}
+
+#[test]
+fn what_stands_in_the_way_is_said() {
+    let (_emulator, options) = emulator(5, "L5", Faults::default());
+    let refused = |options: &LiveOptions| {
+        LiveCamera::start(options, &mut CameraMemory::default())
+            .err()
+            .unwrap()
+    };
+    let nobody = LiveOptions {
+        which: CameraAddress {
+            address: Some(Ipv4Addr::new(127, 0, 92, 250)),
+            ..CameraAddress::default()
+        },
+        ..options.clone()
+    };
+    assert!(matches!(refused(&nobody), LiveError::Absent { .. }));
+    let fast = LiveOptions {
+        frame_rate_hz: 90.0,
+        ..options.clone()
+    };
+    let error = refused(&fast);
+    assert!(error.to_string().contains("frame rate"), "{error}");
+    let large = LiveOptions {
+        size_px: (1280, 720),
+        ..options.clone()
+    };
+    let error = refused(&large);
+    assert!(error.to_string().contains("region"), "{error}");
+
+    let mut memory = CameraMemory::default();
+    let mut held = LiveCamera::start(&options, &mut memory).unwrap();
+    assert!(frame(&mut held, &mut memory).is_some());
+    let error = refused(&options);
+    assert!(matches!(error, LiveError::Held { .. }), "{error}");
+    assert!(
+        frame(&mut held, &mut memory).is_some(),
+        "the one that holds it does not notice"
+    );
+    held.stop();
+    let address = options.which.address.unwrap();
+    assert_eq!(ping(address, Duration::from_millis(200)).unwrap().serial, "L5");
+    assert_eq!(is_held(address, Duration::from_millis(200)), Some(false));
+}
