@@ -88,6 +88,7 @@ const ALLOWED: &[(&str, &[&str])] = &[
 
 /// Crates that only one room may name.
 const GUARDED: &[(&str, &str)] = &[
+    ("aravis_sys", "capture"),
     ("opencv", "vision"),
     ("argmin", "calibration"),
     ("mcap", "recording"),
