@@ -118,3 +118,43 @@ fn aligned(heading: &[&str], rows: Vec<Vec<String>>) -> String {
     }
     text
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::fixture;
+    use super::*;
+
+    #[test]
+    fn pitches_line_up_below_their_headings() {
+        let text = pitches(&fixture::pitches(), PlatePlane::Front);
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines.len(), 7);
+        let end = |line: &str, word: &str| {
+            let at = line.find(word).unwrap() + word.len();
+            line[..at].chars().count()
+        };
+        assert_eq!(end(lines[0], "speed mph"), end(lines[1], "88.63"));
+        // domain §4, first row: 0.314 ft = 9.6 cm, 2.784 ft = 84.9 cm at the front.
+        assert_eq!(end(lines[0], "plate x cm"), end(lines[1], " 9.6"));
+        assert_eq!(end(lines[0], "plate z cm"), end(lines[1], "84.9"));
+        assert!(lines[2].ends_with("degraded: first points <late> & few"));
+        assert!(lines.iter().all(|l| !l.ends_with(' ')));
+        assert!(pitches(&fixture::pitches(), PlatePlane::Middle).contains(" 10.0 "));
+    }
+
+    #[test]
+    fn cameras_tell_their_delay_in_both_units() {
+        let text = cameras(&fixture::calibration(), &fixture::rig());
+        let lines: Vec<&str> = text.lines().collect();
+        assert!(lines[1].starts_with("first") && lines[1].ends_with("reference"));
+        // 3.21 ms at 175 Hz.
+        for word in ["third", "3.2100", "0.0120", "0.5618", "0.0021"] {
+            assert!(lines[2].contains(word), "{}", lines[2]);
+        }
+    }
+
+    #[test]
+    fn nothing_is_a_heading_alone() {
+        assert_eq!(pitches(&[], PlatePlane::Front).lines().count(), 1);
+    }
+}

@@ -63,7 +63,7 @@ const COLUMNS: [Column; 10] = [
         "px",
         "Root mean square reprojection error of the points kept",
     ),
-    Column::words("Points", "kept", "Points kept in the calibration"),
+    Column::numbers("Points", "kept", "Points kept in the calibration"),
 ];
 
 /// The table, one row a camera; cameras of the rig that could not be calibrated stand last.

@@ -37,10 +37,10 @@ fn section(calibration: &Calibration, more_html: &str) -> String {
     format!(
         "<section><h2>What the numbers mean</h2>\n<ul class=\"plain\"><li>{world}</li>{more_html}\
          <li><b>Delay τ</b>: true exposure midpoint = stamped midpoint − τ; 0 for the reference camera. \
-         τ &gt; 0: the frame stamped t shows the ball where it was at t − τ.</li>\
-         <li><b>Residual</b> = predicted − observed, in distorted pixels; the centre of the top-left pixel is (0, 0). \
+         τ &gt; 0: the frame stamped t shows the ball where it was at t − τ.</li>\
+         <li><b>Residual</b> = predicted − observed, in distorted pixels; the centre of the top-left pixel is (0, 0). \
          RMS is that of the residual’s length.</li>\
-         <li><b>±</b> is one standard deviation and includes the uncertainty of the calibration; ellipses hold 95 %.</li>\
+         <li><b>±</b> is one standard deviation and includes the uncertainty of the calibration; ellipses hold 95 %.</li>\
          </ul></section>\n"
     )
 }

@@ -6,6 +6,9 @@ use super::chart::{Chart, Margins, Scale, spread};
 use super::html::{figure, number};
 use super::strike_zone::call_class;
 
+/// More numbers than this cannot be told apart at the flights' ends.
+const NUMBERED_MAX: usize = 24;
+
 /// Which two axes a view shows.
 #[derive(Clone, Copy, PartialEq)]
 enum View {
@@ -103,7 +106,9 @@ fn plot(pitches: &[Pitch], field: FieldPreset, view: View) -> String {
         );
         chart.end_group();
     }
-    number_flights(&mut chart, pitches, view);
+    if pitches.len() <= NUMBERED_MAX {
+        number_flights(&mut chart, pitches, view);
+    }
     let [across_units, up_units] = chart.units();
     let stretch = number(up_units / across_units, 1);
     let (title, words) = match view {

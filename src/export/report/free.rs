@@ -63,8 +63,13 @@ pub fn free_html(input: &FreeReportInput<'_>) -> String {
         body += "<p class=\"empty\">No part of the motion was solved.</p>\n";
     } else {
         body += "<div class=\"views even\">";
-        body += &plan(&pieces, calibration, ([0, 1], "From above"));
-        body += &plan(&pieces, calibration, ([0, 2], "From the side"));
+        // Without a plate or gravity nobody knows which way is up.
+        let titles = match calibration.world {
+            WorldFrame::HomePlate => ["From above", "From behind home plate"],
+            WorldFrame::ReferenceCamera => ["First and second axis", "First and third axis"],
+        };
+        body += &plan(&pieces, calibration, ([0, 1], titles[0]));
+        body += &plan(&pieces, calibration, ([0, 2], titles[1]));
         body += "</div>\n";
         body += &over_time(&pieces);
     }

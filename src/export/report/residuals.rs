@@ -1,4 +1,4 @@
-//! Reprojection residuals of each camera: the scatter, and the rms of each pitch over the session.
+//! Reprojection residuals of each camera: the scatter, and the rms over time, pitch by pitch or in slices.
 
 use std::collections::BTreeMap;
 
@@ -27,13 +27,18 @@ pub(super) fn cards(residuals: &[Residual], calibration: &Calibration) -> String
     let span = times().fold(f64::NEG_INFINITY, f64::max) - start;
     let points: BTreeMap<&CameraId, Vec<[f64; 2]>> = cameras
         .iter()
-        .map(|(id, all)| (*id, rms_of_pitches(all, start)))
+        .map(|(id, all)| (*id, rms_over_time(all, start, span)))
         .collect();
     let highest = points.values().flatten().map(|p| p[1]).fold(0.1, f64::max);
     let scales = Scales {
         half_px: half_range_px(residuals),
         time: Scale::linear(-0.04 * span.max(1.0), 1.04 * span.max(1.0)),
         rms: Scale::linear(0.0, 1.15 * highest),
+        rms_label: if residuals.iter().any(|r| r.pitch > 0) {
+            "rms of each pitch, px"
+        } else {
+            "rms over the motion, px"
+        },
     };
     cameras
         .iter()
@@ -48,6 +53,7 @@ struct Scales {
     half_px: f64,
     time: Scale,
     rms: Scale,
+    rms_label: &'static str,
 }
 
 /// Half the scatter's side: four times the middle residual, so that a few wild points do not shrink the rest.
@@ -59,11 +65,20 @@ fn half_range_px(residuals: &[Residual]) -> f64 {
     (4.0 * median(kept).unwrap_or(0.25)).clamp(0.05, 1e3)
 }
 
-/// (seconds since the first, rms px) of each pitch's kept points, by time.
-fn rms_of_pitches(residuals: &[&Residual], start_s: f64) -> Vec<[f64; 2]> {
+/// Slices of a motion that is no pitch.
+const SLICES: f64 = 60.0;
+
+/// (seconds since the first, rms px) of each pitch's kept points, by time; of each slice of time where the
+/// points are of no pitch.
+fn rms_over_time(residuals: &[&Residual], start_s: f64, span_s: f64) -> Vec<[f64; 2]> {
     let mut sums: BTreeMap<u32, (f64, f64, f64)> = BTreeMap::new();
     for r in residuals.iter().filter(|r| r.kept && r.time_s.is_finite()) {
-        let sum = sums.entry(r.pitch).or_default();
+        let group = if r.pitch == 0 {
+            (SLICES * (r.time_s - start_s) / span_s.max(1e-9)) as u32
+        } else {
+            r.pitch
+        };
+        let sum = sums.entry(group).or_default();
         *sum = (
             sum.0 + 1.0,
             sum.1 + r.time_s,
@@ -113,7 +128,7 @@ fn card(
     }
     figure(
         "card",
-        &format!("{scatter}{}", rms_over_time(id, rms, scales)),
+        &format!("{scatter}{}", rms_chart(id, rms, scales)),
         &caption,
     )
 }
@@ -161,7 +176,7 @@ fn scatter(
     )
 }
 
-fn rms_over_time(id: &CameraId, rms: &[[f64; 2]], scales: &Scales) -> String {
+fn rms_chart(id: &CameraId, rms: &[[f64; 2]], scales: &Scales) -> String {
     let margins = Margins {
         left: 44.0,
         top: 26.0,
@@ -169,7 +184,7 @@ fn rms_over_time(id: &CameraId, rms: &[[f64; 2]], scales: &Scales) -> String {
         bottom: 42.0,
     };
     let mut chart = Chart::new([358.0, 170.0], margins, scales.time, scales.rms);
-    chart.axes(["time in the session, s", "rms of each pitch, px"], [5, 3]);
+    chart.axes(["time in the session, s", scales.rms_label], [5, 3]);
     chart.line("trend", rms);
     for point in rms {
         chart.circle("mark", *point, 3.0);

@@ -170,12 +170,16 @@ fn a_free_motion_has_its_own_page() {
             }
         })
         .collect();
+    let mut motion = residuals(&fixture::pitches(), &calibration);
+    for (i, residual) in motion.iter_mut().enumerate() {
+        (residual.pitch, residual.time_s) = (0, (i % 432) as f64 / 7.2);
+    }
     let page = free_html(&FreeReportInput {
         title: "drone <1>",
         rig: &rig,
         calibration: &calibration,
         rows: &rows,
-        residuals: &residuals(&fixture::pitches(), &calibration),
+        residuals: &motion,
         warnings: &[],
         facts: &[],
     });
@@ -183,7 +187,8 @@ fn a_free_motion_has_its_own_page() {
         "A trajectory of 60.0 s from 2 cameras",
         "<b>2</b><span>unbroken pieces",
         "drone &lt;1&gt;",
-        "From above",
+        "First and third axis",
+        "rms over the motion",
         "trajectory.csv",
     ] {
         assert!(page.contains(words), "{words}");
