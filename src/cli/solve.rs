@@ -55,9 +55,6 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<()> {
         Some(motion) => motion == Motion::Free,
         None => rig.site.motion == RigMotion::Free,
     };
-    if free {
-        anyhow::bail!("--motion free is not wired yet");
-    }
     let points: usize = tracks.iter().map(|t| t.points.len()).sum();
     let facts = [
         ("tracks".to_owned(), format!("{} ({points} points)", tracks.len())),
@@ -68,7 +65,13 @@ pub fn run(args: &SolveArgs) -> anyhow::Result<()> {
     } else {
         rig.site.name.clone()
     };
+    if free {
+        return args
+            .solving
+            .solve_and_write_free((&title, &rig), &tracks, &facts)
+            .with_context(|| args.tracks_dir.display().to_string());
+    }
     args.solving
         .solve_and_write((&title, &rig), &tracks, &facts, Vec::new())
-        .with_context(|| format!("{}", args.tracks_dir.display()))
+        .with_context(|| args.tracks_dir.display().to_string())
 }

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::{Args, ValueEnum};
 
+use crate::calibration::free::{self, FreeOptions};
 use crate::daemon::batch::{Batch, BatchOptions, solve_tracks};
-use crate::export::report::ReportInput;
+use crate::export::report::{FreeReportInput, ReportInput, TrajectoryRow};
 use crate::export::statcast::PlatePlane;
 use crate::export::{results, table};
 use crate::scene::{Calibration, CalibrationMethod, Rig, Track};
@@ -91,8 +92,66 @@ impl SolvingArgs {
         self.print(rig, &batch, plane, &report)
     }
 
+    /// Solves one thing that moves smoothly: `trajectory.csv`, `calibration.json` and a report.
+    ///
+    /// # Errors
+    /// No calibration, or a folder that cannot be written.
+    pub fn solve_and_write_free(
+        &self,
+        (title, rig): (&str, &Rig),
+        tracks: &[Track],
+        facts: &[(String, String)],
+    ) -> anyhow::Result<()> {
+        if self.calibration.is_some() || self.method != Method::Joint {
+            anyhow::bail!("--motion free calibrates by itself: it takes neither --calibration nor --method");
+        }
+        let outcome = free::calibrate(rig, tracks, &FreeOptions::default())?;
+        let rows: Vec<_> = outcome
+            .trajectory
+            .iter()
+            .map(|s| TrajectoryRow {
+                time_ns: s.time_ns,
+                position_m: s.position_m,
+                sigma_m: s.sigma_m,
+                cameras: u32::try_from(s.cameras).unwrap_or(u32::MAX),
+            })
+            .collect();
+        let mut facts = facts.to_vec();
+        facts.push((
+            "seen by two cameras".to_owned(),
+            format!("{:.1} s, {} samples", outcome.shared_s, rows.len()),
+        ));
+        facts.push((
+            "explained by one motion".to_owned(),
+            format!("{:.1} % of the points", 100.0 * outcome.explained_share),
+        ));
+        let report = results::write_free(
+            &self.out,
+            &FreeReportInput {
+                title,
+                rig,
+                calibration: &outcome.calibration,
+                rows: &rows,
+                residuals: &[],
+                warnings: &[],
+                facts: &facts,
+            },
+            tracks,
+        )?;
+        for warning in &outcome.calibration.warnings {
+            eprintln!("pitchd: warning: {warning}");
+        }
+        print!("{}", table::cameras(&outcome.calibration, rig));
+        for (name, value) in &facts {
+            println!("{name}: {value}");
+        }
+        println!("trajectory: {}", self.out.join("trajectory.csv").display());
+        println!("report: {}", report.display());
+        Ok(())
+    }
+
     fn print(&self, rig: &Rig, batch: &Batch, plane: PlatePlane, report: &Path) -> anyhow::Result<()> {
-        for warning in &batch.warnings {
+        for warning in batch.calibration.warnings.iter().chain(&batch.warnings) {
             eprintln!("pitchd: warning: {warning}");
         }
         if self.json {

@@ -1,6 +1,7 @@
 //! 2-D tracks to pitches, all at once: the second half of the pipeline, for recordings and track files.
 
 use crate::calibration::association::{Association, AssociationOptions, associate};
+use crate::calibration::kim2019::{self, Kim2019Options};
 use crate::calibration::recipe::{CalibrationOptions, CalibrationOutcome, calibrate};
 use crate::calibration::{CalibrationError, PitchTracks};
 use crate::export::report::Residual;
@@ -86,8 +87,12 @@ pub fn solve_tracks(rig: &Rig, tracks: &[Track], options: &BatchOptions) -> Resu
             (calibration.clone(), solved)
         }
         None => {
-            let outcome = calibrate(rig, tracks, &CalibrationOptions::default())?;
-            warnings.extend(outcome.calibration.warnings.iter().cloned());
+            let outcome = match options.method {
+                CalibrationMethod::Joint => calibrate(rig, tracks, &CalibrationOptions::default())?,
+                CalibrationMethod::Kim2019 => {
+                    kim2019::calibrate_session(rig, tracks, &Kim2019Options::default())?
+                }
+            };
             warnings.extend(outcome.wrong_tracks.iter().map(|w| {
                 format!(
                     "camera {} track {}: not the ball of its pitch (fits in {:.0} % of its points), left out",
