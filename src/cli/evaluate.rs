@@ -34,6 +34,8 @@ pub struct EvaluateArgs {
 pub enum Score {
     /// The Cramér–Rao bound of a scenario, and the estimator's efficiency over seeds.
     Bound(super::evaluate_bound::BoundArgs),
+    /// 2-D tracks against the true centres: recall, precision, bias, false tracks.
+    Detection(super::evaluate_detection::EvaluateDetectionArgs),
 }
 
 /// Runs the score.
@@ -44,6 +46,7 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
     if let Some(score) = &args.score {
         return match score {
             Score::Bound(args) => super::evaluate_bound::run(args),
+            Score::Detection(args) => super::evaluate_detection::run(args),
         };
     }
     let (Some(result), Some(truth)) = (&args.result, &args.truth) else {

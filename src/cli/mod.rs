@@ -4,6 +4,7 @@ mod emulate;
 mod evaluate;
 mod evaluate_bound;
 mod export;
+mod evaluate_detection;
 mod import;
 mod info;
 mod recover;

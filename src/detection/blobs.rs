@@ -9,6 +9,10 @@ use super::tiles::TileMap;
 
 /// Most runs of changed pixels kept for one frame.
 const RUNS_MAX: usize = 16_384;
+/// Blobs this near become one, if the result is no larger than this and the frame holds no more than so many.
+const JOIN_GAP_PX: usize = 2;
+const JOINED_SIDE_PX: usize = 26;
+const JOINED_BLOBS_MAX: usize = 400;
 /// Pixels that may be missing between two runs of one blob.
 const GAP_PX: usize = 1;
 
@@ -36,6 +40,22 @@ impl Images<'_> {
         };
         let size = i32::from(kernel::change(*c, *a, *b));
         if c >= a.max(b) { size } else { -size }
+    }
+
+    /// The pixels of a square around a place, within the image.
+    pub fn around(
+        &self,
+        x_px: f64,
+        y_px: f64,
+        reach_px: f64,
+    ) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let span = |centre: f64, size: usize| {
+            let low = (centre - reach_px).ceil().max(0.0) as usize;
+            let high = ((centre + reach_px).floor() + 1.0).clamp(0.0, size as f64) as usize;
+            low.min(high)..high
+        };
+        let columns = span(x_px, self.width_px);
+        span(y_px, self.height_px).flat_map(move |y| columns.clone().map(move |x| (x, y)))
     }
 }
 
@@ -81,7 +101,55 @@ pub struct BlobFinder {
     pub overflowed: bool,
 }
 
+impl Blob {
+    /// Whether the boxes are within `gap` pixels of each other and both together no larger than `side`.
+    fn belongs_to(&self, other: &Blob, gap: usize, side: usize) -> bool {
+        let near = self.left <= other.right + gap
+            && other.left <= self.right + gap
+            && self.top <= other.bottom + gap
+            && other.top <= self.bottom + gap;
+        near && self.right.max(other.right) - self.left.min(other.left) < side
+            && self.bottom.max(other.bottom) - self.top.min(other.top) < side
+    }
+
+    fn join(&mut self, other: &Blob) {
+        self.left = self.left.min(other.left);
+        self.right = self.right.max(other.right);
+        self.top = self.top.min(other.top);
+        self.bottom = self.bottom.max(other.bottom);
+        self.area_px += other.area_px;
+        self.change_sum += other.change_sum;
+        self.peak = self.peak.max(other.peak);
+    }
+}
+
 impl BlobFinder {
+    /// Joins small blobs next to each other: the lit and the dark side of a ball, the ends of a streak.
+    fn join_neighbours(&mut self) {
+        if self.blobs.len() > JOINED_BLOBS_MAX {
+            return;
+        }
+        let mut index = 0;
+        while let Some(blob) = self.blobs.get(index).copied() {
+            let partner = self
+                .blobs
+                .iter()
+                .enumerate()
+                .skip(index + 1)
+                .find(|(_, other)| blob.belongs_to(other, JOIN_GAP_PX, JOINED_SIDE_PX))
+                .map(|(i, _)| i);
+            match partner {
+                Some(other) => {
+                    let other = self.blobs.swap_remove(other);
+                    if let Some(blob) = self.blobs.get_mut(index) {
+                        blob.join(&other);
+                    }
+                }
+                None => index += 1,
+            }
+        }
+    }
+
     /// Buffers for an image this wide.
     pub fn new(width_px: usize, kernels: Kernels) -> Self {
         let tiles = width_px.div_ceil(TILE_WIDTH_PX);
@@ -119,6 +187,7 @@ impl BlobFinder {
             }
         }
         self.gather(images, noise);
+        self.join_neighbours();
     }
 
     fn mask_band(&mut self, images: &Images<'_>, tiles: &TileMap, band: usize, noise: &RegionNoise) -> bool {

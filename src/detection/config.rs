@@ -57,8 +57,8 @@ impl Default for DetectorConfig {
     fn default() -> Self {
         Self {
             exposure_s: None,
-            lag_frames: 3,
-            lag_frames_max: 8,
+            lag_frames: 6,
+            lag_frames_max: 10,
             threshold_sigmas: 5.0,
             threshold_levels_min: 8,
             candidates_max: 48,

@@ -1,7 +1,7 @@
 //! One camera's detector: takes frames in time order, answers each a few frames later.
 
 use super::blobs::{Blob, BlobFinder, Images};
-use super::centroid::{Moments, moments};
+use super::centroid::{Moments, moments, strongest_near, window_moments};
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
 use super::error::DetectionError;
@@ -16,6 +16,37 @@ use crate::scene::{Detection, Frame, FrameStamp, Track};
 
 /// A blob of fewer pixels is noise.
 const AREA_MIN_PX: usize = 4;
+
+/// A blob with a longer side is no ball by itself, but may hold one: its strongest places are candidates.
+const BLOB_SIDE_MAX_PX: usize = 48;
+/// Places looked at in such a blob, and the distance between them.
+const PLACES_IN_BLOB: usize = 6;
+const PLACE_STEP_PX: usize = 16;
+/// An expected ball is believed from this many σ of a pixel's difference, as the mean over 3×3 pixels.
+const EXPECTED_SIGMAS: f64 = 1.5;
+/// ... and no other candidate may be nearer than this, pixels.
+const EXPECTED_APART_PX: f64 = 2.5;
+/// Most expected balls of one frame.
+const EXPECTED_MAX: usize = 8;
+
+/// Where a ball should be in a frame, by its track or by the other cameras.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExpectedBall {
+    /// Centre, distorted pixels.
+    pub centre: Pixel,
+    /// How far off it may be, pixels.
+    pub reach_px: f64,
+    /// Its radius, pixels.
+    pub radius_px: f64,
+}
+
+/// Who is told the candidates, and may know better where to look.
+pub trait Answers {
+    /// Before a frame is searched: where are balls expected? Weak candidates there are accepted.
+    fn expect(&mut self, _stamp: FrameStamp, _expected: &mut Vec<ExpectedBall>) {}
+    /// The candidates of a frame, strongest first.
+    fn answer(&mut self, stamp: FrameStamp, detections: &[Detection]);
+}
 
 /// What the detector has seen and left out.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -49,6 +80,7 @@ pub struct Detector {
     tiles: TileMap,
     blobs: BlobFinder,
     found: Vec<(Detection, Blob)>,
+    expected: Vec<ExpectedBall>,
     detections: Vec<Detection>,
     patches: PatchPool,
     edge_sigma_px: Option<f64>,
@@ -78,6 +110,7 @@ impl Detector {
             tiles: TileMap::new(width, height),
             blobs: BlobFinder::new(width, Kernels::new(isa)),
             found: Vec::with_capacity(1024),
+            expected: Vec::with_capacity(64),
             patches: PatchPool::new(config.patch_bytes),
             edge_sigma_px: None,
             detections: Vec::with_capacity(config.candidates_max + 1),
@@ -96,13 +129,9 @@ impl Detector {
         self.lag
     }
 
-    /// Takes the next frame; `answer` is called for every frame that is now decided, in order, with its
+    /// Takes the next frame; `answers` is told of every frame that is now decided, in order, with its
     /// candidates (strongest first, possibly none).
-    pub fn detect(
-        &mut self,
-        frame: &Frame,
-        answer: &mut dyn FnMut(FrameStamp, &[Detection]),
-    ) -> Result<(), DetectionError> {
+    pub fn detect(&mut self, frame: &Frame, answers: &mut dyn Answers) -> Result<(), DetectionError> {
         self.check_size(frame)?;
         if let Some(newest) = self.history.newest() {
             let step = frame
@@ -110,7 +139,7 @@ impl Detector {
                 .stamped
                 .seconds_since(newest.frame.stamp.stamped.nanos());
             if step <= 0.0 || step > self.config.break_s {
-                self.flush(answer);
+                self.flush(answers);
             }
         }
         if self.history.count() == 0 {
@@ -129,7 +158,7 @@ impl Detector {
             if self.next_answer + needs > newest {
                 break;
             }
-            self.answer_next(false, answer);
+            self.answer_next(false, answers);
         }
         self.history
             .forget_before(self.next_answer.saturating_sub(2 * self.lag));
@@ -137,9 +166,9 @@ impl Detector {
     }
 
     /// Ends the window: decides the frames still open.
-    pub fn flush(&mut self, answer: &mut dyn FnMut(FrameStamp, &[Detection])) {
+    pub fn flush(&mut self, answers: &mut dyn Answers) {
         while self.next_answer < self.history.count() {
-            self.answer_next(true, answer);
+            self.answer_next(true, answers);
         }
         self.history.restart();
         self.next_answer = 0;
@@ -213,7 +242,7 @@ impl Detector {
         Some(changed)
     }
 
-    fn answer_next(&mut self, ended: bool, answer: &mut dyn FnMut(FrameStamp, &[Detection])) {
+    fn answer_next(&mut self, ended: bool, answers: &mut dyn Answers) {
         let index = self.next_answer;
         self.next_answer += 1;
         self.detections.clear();
@@ -229,7 +258,7 @@ impl Detector {
             / ((TILE_WIDTH_PX * TILE_HEIGHT_PX) as f64);
         if self.tiles.count() as f64 > bound.max(16.0) {
             self.counters.global_changes += 1;
-            answer(stamp, &[]);
+            answers.answer(stamp, &[]);
             return;
         }
         let images = Images {
@@ -247,8 +276,28 @@ impl Detector {
             if !clear || blob.area_px < AREA_MIN_PX {
                 continue;
             }
-            if let Some(found) = moments(&images, blob).and_then(|m| candidate(&self.config, stamp, &m)) {
+            let side = (blob.right - blob.left).max(blob.bottom - blob.top);
+            if side > BLOB_SIDE_MAX_PX {
+                look_into(&images, blob, &self.config, stamp, &mut self.found);
+            } else if let Some(found) =
+                moments(&images, blob).and_then(|m| candidate(&self.config, stamp, &m))
+            {
                 self.found.push((found, *blob));
+            }
+        }
+        self.expected.clear();
+        answers.expect(stamp, &mut self.expected);
+        for expected in self.expected.iter().take(EXPECTED_MAX) {
+            let sigma = self.noise.difference_sigma(
+                expected.centre.y.max(0.0) as usize / TILE_HEIGHT_PX,
+                expected.centre.x.max(0.0) as usize / TILE_WIDTH_PX,
+            );
+            if let Some(found) = look_at(&images, expected, sigma, &self.config, stamp)
+                && self.found.iter().all(|(other, _)| {
+                    (other.centre.vector() - found.0.centre.vector()).norm() > EXPECTED_APART_PX
+                })
+            {
+                self.found.push(found);
             }
         }
         self.found.sort_by(|a, b| b.0.strength.total_cmp(&a.0.strength));
@@ -259,7 +308,7 @@ impl Detector {
             self.patches.keep(&images, blob, detection);
             self.detections.push(*detection);
         }
-        answer(stamp, &self.detections);
+        answers.answer(stamp, &self.detections);
     }
 }
 
@@ -280,4 +329,82 @@ fn candidate(config: &DetectorConfig, stamp: FrameStamp, found: &Moments) -> Opt
         streak_px: [found.streak_px.x, found.streak_px.y],
         strength: found.strength,
     })
+}
+
+/// The strongest places of a large blob.
+fn look_into(
+    images: &Images<'_>,
+    blob: &Blob,
+    config: &DetectorConfig,
+    stamp: FrameStamp,
+    found: &mut Vec<(Detection, Blob)>,
+) {
+    let half = PLACE_STEP_PX / 2;
+    let mut places: Vec<(nalgebra::Vector2<f64>, f64)> = Vec::with_capacity(64);
+    for y in (blob.top..=blob.bottom).step_by(PLACE_STEP_PX) {
+        for x in (blob.left..=blob.right).step_by(PLACE_STEP_PX) {
+            let (cx, cy) = ((x + half) as f64, (y + half) as f64);
+            places.extend(strongest_near(images, cx, cy, half as f64));
+        }
+    }
+    places.sort_by(|a, b| b.1.total_cmp(&a.1));
+    for (place, strength) in places.into_iter().take(PLACES_IN_BLOB) {
+        if strength < config.threshold_sigmas * 0.5 * f64::from(blob.difference_sigma) {
+            break;
+        }
+        found.extend(in_window(
+            images,
+            place,
+            6.0,
+            blob.difference_sigma,
+            (config, stamp),
+        ));
+    }
+}
+
+/// A weak ball where one is expected.
+fn look_at(
+    images: &Images<'_>,
+    expected: &ExpectedBall,
+    difference_sigma: f32,
+    config: &DetectorConfig,
+    stamp: FrameStamp,
+) -> Option<(Detection, Blob)> {
+    let (place, strength) = strongest_near(
+        images,
+        expected.centre.x,
+        expected.centre.y,
+        expected.reach_px.clamp(2.0, 16.0),
+    )?;
+    if strength < EXPECTED_SIGMAS * f64::from(difference_sigma) {
+        return None;
+    }
+    let window_px = (1.5 * expected.radius_px + 2.0).clamp(4.0, 14.0);
+    in_window(images, place, window_px, difference_sigma, (config, stamp))
+}
+
+/// A candidate from the change within a round window.
+fn in_window(
+    images: &Images<'_>,
+    place: nalgebra::Vector2<f64>,
+    window_px: f64,
+    difference_sigma: f32,
+    (config, stamp): (&DetectorConfig, FrameStamp),
+) -> Option<(Detection, Blob)> {
+    let moments = window_moments(images, place, window_px, f64::from(difference_sigma))?;
+    let detection = candidate(config, stamp, &moments)?;
+    let (x, y) = (detection.centre.x.max(0.0), detection.centre.y.max(0.0));
+    let low = |value: f64| (value - window_px).max(0.0) as usize;
+    let high = |value: f64, size: usize| ((value + window_px) as usize).min(size.saturating_sub(1));
+    let blob = Blob {
+        left: low(x),
+        right: high(x, images.width_px),
+        top: low(y),
+        bottom: high(y, images.height_px),
+        area_px: 0,
+        change_sum: 0,
+        peak: 0,
+        difference_sigma,
+    };
+    Some((detection, blob))
 }

@@ -27,7 +27,7 @@ mod regions;
 mod tiles;
 
 pub use config::{DetectorConfig, PixelRect};
-pub use detector::{Detector, DetectorCounters};
+pub use detector::{Answers, Detector, DetectorCounters, ExpectedBall};
 pub use dispatch::Isa;
 pub use error::DetectionError;
 pub use refine::Refinement;

@@ -1,9 +1,11 @@
 //! Results beside the truth: scores that say how good, over how much.
 
 pub mod efficiency;
+mod detection;
 mod pitches;
 mod trajectory;
 
+pub use detection::{BallTruth, DetectionScore, DetectionScoreError, read_centres, score_tracks, truth_of};
 pub use pitches::{AxisScore, DelayScore, PitchScore, PitchScoreError, score_pitches};
 pub use trajectory::{
     TimedPosition, TrajectoryScore, TrajectoryScoreError, TrajectoryScoring, score_trajectory,

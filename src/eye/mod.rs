@@ -1,7 +1,9 @@
 //! One camera's eye: frames in, tracks of pitched balls out (detection, then tracking, then a second look).
 
-use crate::detection::{DetectionError, Detector, DetectorConfig, DetectorCounters};
-use crate::scene::{CameraId, Frame, Track};
+use crate::detection::{
+    Answers, DetectionError, Detector, DetectorConfig, DetectorCounters, ExpectedBall, Refinement,
+};
+use crate::scene::{CameraId, Detection, Frame, FrameStamp, Track};
 use crate::tracking::{TrackKind, TrackedBall, Tracker, TrackerConfig, TrackerCounters, polish};
 
 /// Departure of refined centres from a smooth path beyond their covariance, pixels.
@@ -23,6 +25,24 @@ pub struct CameraEye {
     balls: Vec<TrackedBall>,
 }
 
+/// The tracker as the detector sees it: it takes candidates and says where to look for weak ones.
+struct Guided<'a>(&'a mut Tracker);
+
+impl Answers for Guided<'_> {
+    fn expect(&mut self, stamp: FrameStamp, expected: &mut Vec<ExpectedBall>) {
+        let predictions = self.0.predictions(stamp);
+        expected.extend(predictions.map(|(centre, reach_px, radius_px)| ExpectedBall {
+            centre,
+            reach_px,
+            radius_px,
+        }));
+    }
+
+    fn answer(&mut self, stamp: FrameStamp, detections: &[Detection]) {
+        self.0.push(stamp, detections);
+    }
+}
+
 impl CameraEye {
     /// An eye for frames of this size.
     pub fn new(camera: CameraId, config: EyeConfig, width_px: u32, height_px: u32) -> Self {
@@ -38,7 +58,7 @@ impl CameraEye {
         let Self {
             detector, tracker, ..
         } = self;
-        let result = detector.detect(frame, &mut |stamp, found| tracker.push(stamp, found));
+        let result = detector.detect(frame, &mut Guided(tracker));
         self.collect();
         result
     }
@@ -48,7 +68,7 @@ impl CameraEye {
         let Self {
             detector, tracker, ..
         } = self;
-        detector.flush(&mut |stamp, found| tracker.push(stamp, found));
+        detector.flush(&mut Guided(tracker));
         let last = self.tracker.finish();
         self.look_again(last);
     }
@@ -67,6 +87,9 @@ impl CameraEye {
                 ball.shape.radius_px = refinement.radius_px;
                 if let Some(polished) = polish(&ball.track, REFINED_FLOOR_PX) {
                     ball.track = polished;
+                }
+                if let Some((step_px, length_px)) = slowest_step(&ball.track, &refinement) {
+                    self.detector.adapt_lag(step_px, length_px);
                 }
                 tracing::debug!(camera = %ball.track.camera, track = ball.track.track, ?refinement, "refined");
             }
@@ -88,10 +111,33 @@ impl CameraEye {
             .collect()
     }
 
+    /// Frames between a frame and its answer.
+    pub fn lag_frames(&self) -> usize {
+        self.detector.lag_frames()
+    }
+
     /// What was seen and left out.
     pub fn counters(&self) -> (DetectorCounters, TrackerCounters) {
         (self.detector.counters(), self.tracker.counters())
     }
+}
+
+/// Points over which a step is averaged.
+const STEP_POINTS: usize = 6;
+
+/// The shortest step of a track between frames, and the ball's length along its motion, pixels.
+fn slowest_step(track: &Track, refinement: &Refinement) -> Option<(f64, f64)> {
+    let step_px = track
+        .points
+        .windows(STEP_POINTS)
+        .filter_map(|points| {
+            let (first, last) = (points.first()?, points.last()?);
+            let frames = last.frame.checked_sub(first.frame)?.max(1) as f64;
+            Some((last.pixel.vector() - first.pixel.vector()).norm() / frames)
+        })
+        .min_by(f64::total_cmp)?;
+    let [begin, end] = refinement.radius_ends_px;
+    Some((step_px, 2.0 * begin.max(end) + 0.3 * step_px))
 }
 
 #[cfg(test)]

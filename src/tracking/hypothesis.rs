@@ -96,6 +96,19 @@ impl Hypothesis {
         self.curve = local_curve(self.points.get(from..).unwrap_or(&[]));
     }
 
+    /// Where the path should be at time `t`, how far off it may be, and the ball's radius, pixels.
+    pub fn prediction(&self, t: f64) -> Option<(Vector2<f64>, f64, f64)> {
+        let curve = self.curve.as_ref()?;
+        let from = self.points.len().saturating_sub(LOOK_BACK);
+        let recent = self.points.get(from..).unwrap_or(&[]);
+        let radius = recent.iter().map(|p| p.detection.radius_px).fold(0.0, f64::max);
+        Some((
+            curve.position(t),
+            2.5 * curve.variance_px2(t).sqrt() + 1.0,
+            radius,
+        ))
+    }
+
     /// The detections within the gate at time `t`, best first.
     pub fn matches(&self, t: f64, points: &[Point]) -> Vec<Match> {
         let Some(curve) = &self.curve else {

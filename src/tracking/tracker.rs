@@ -6,6 +6,7 @@ use super::config::TrackerConfig;
 use super::ending::conclude;
 use super::hypothesis::{Hypothesis, Match, Point, aligned};
 use super::shape::{TrackKind, TrackedBall};
+use crate::geometry::Pixel;
 use crate::scene::{CameraId, Detection, FrameStamp};
 
 /// Frames back in which a seed's two earlier detections are sought.
@@ -107,6 +108,16 @@ impl Tracker {
         }
         self.history.push_back(FramePoints { t, points });
         self.prune(t);
+    }
+
+    /// Where the grown paths should be at this stamp: position, how far off it may be, radius (pixels).
+    pub fn predictions(&self, stamp: FrameStamp) -> impl Iterator<Item = (Pixel, f64, f64)> + '_ {
+        let t = self.epoch.map_or(0.0, |epoch| self.frames_since(epoch, stamp));
+        self.alive
+            .iter()
+            .filter(|h| h.points.len() >= YOUNG.0)
+            .filter_map(move |h| h.prediction(t))
+            .map(|(at, reach, radius)| (Pixel::new(at.x, at.y), reach, radius))
     }
 
     /// The balls finished since the last call.
