@@ -8,6 +8,7 @@ pub mod free;
 pub mod initial;
 pub mod joint;
 pub mod kim2019;
+pub mod matching;
 mod metric;
 pub mod path;
 mod polish;

@@ -3,8 +3,10 @@
 use super::association::{AssociationOptions, associate};
 use super::initial::{InitialOptions, hypotheses};
 use super::joint::{self, Candidate, JointOptions, JointSolution, WrongTrack};
-use super::{CalibrationError, PitchTracks};
-use crate::flight::{FlightOptions, SolvedFlight, solve_flight};
+use super::matching::{implausible, match_tracks};
+use super::{CalibrationError, InitialEstimate, PitchTracks};
+use crate::flight::sighting::CameraModel;
+use crate::flight::{FlightOptions, SolvedFlight, position_sigma_m, solve_flight};
 use crate::scene::{Calibration, Rig, Track};
 
 /// Options of every stage.
@@ -56,6 +58,9 @@ pub struct CalibrationOutcome {
 /// A start is finished too when its cost is within this factor of the best one's.
 const RIVAL_FACTOR: f64 = 1.2;
 
+/// A flight whose middle is less sure than this says nothing of a pitch, metres.
+const POSITION_SIGMA_MAX_M: f64 = 0.5;
+
 /// Calibrates a rig from the tracks of pitches.
 ///
 /// # Errors
@@ -81,9 +86,14 @@ pub fn calibrate(
     candidates.sort_by(|a, b| a.0.cost.total_cmp(&b.0.cost));
     // 4. The best, and its rivals, to the end.
     let (solution, notes) = choose(rig, &pitches, candidates, options, refusal)?;
-    // 5. Flights of the pitches that the calibration does not rest on.
+    // 5. Where tracks are left over or do not fit: tracks to pitches anew, by geometry.
+    let (pitches, solution) = rematch(rig, tracks, pitches, solution, options);
+    // 6. A camera whose delay stays open is left out where two others remain; else the rig is refused.
+    let (solution, open) = leave_open_out(rig, &pitches, solution, options)?;
+    // 7. Flights of the pitches that the calibration does not rest on.
     let mut outcome = assemble(pitches, solution);
     outcome.calibration.warnings.extend(notes);
+    outcome.calibration.warnings.extend(open);
     solve_the_rest(rig, &mut outcome);
     Ok(outcome)
 }
@@ -122,6 +132,99 @@ fn choose(
             reason: "no start led to a solution".to_owned(),
         })
     })
+}
+
+/// Groups the tracks by geometry when the first grouping, by time alone, leaves any unexplained, and
+/// calibrates again from there. The first solution stands when that does not work out.
+fn rematch(
+    rig: &Rig,
+    tracks: &[Track],
+    pitches: Vec<PitchTracks>,
+    solution: JointSolution,
+    options: &CalibrationOptions,
+) -> (Vec<PitchTracks>, JointSolution) {
+    let explained: usize = solution
+        .flights
+        .iter()
+        .flat_map(|f| &f.tracks)
+        .filter(|t| t.kept > t.outliers)
+        .count();
+    let placed = |t: &&Track| solution.calibration.camera(&t.camera).is_some();
+    if explained == tracks.iter().filter(placed).count() {
+        return (pitches, solution);
+    }
+    let calibration = &solution.calibration;
+    let cameras: Vec<_> = calibration
+        .cameras
+        .iter()
+        .map(CameraModel::from_calibration)
+        .collect();
+    let flight = FlightOptions::for_site(&rig.site, calibration.world);
+    let regrouped = match_tracks(&cameras, tracks, &flight);
+    let meeting = |groups: &[PitchTracks]| groups.iter().filter(|p| p.cameras_seen() > 1).count();
+    if meeting(&regrouped) == 0 {
+        return (pitches, solution);
+    }
+    let start = start_of(rig, calibration);
+    let again = joint::explore(rig, &regrouped, &start, &options.joint)
+        .and_then(|candidate| joint::finish(rig, &regrouped, candidate, &options.joint));
+    match again {
+        Ok(again) => (regrouped, again),
+        Err(_) => (pitches, solution),
+    }
+}
+
+/// Takes cameras with an open delay out, one by one; says which and why.
+fn leave_open_out(
+    rig: &Rig,
+    pitches: &[PitchTracks],
+    mut solution: JointSolution,
+    options: &CalibrationOptions,
+) -> Result<(JointSolution, Vec<String>), CalibrationError> {
+    let mut left_out = Vec::new();
+    while let Err(refusal) = joint::check_delays(rig, &solution, &options.joint) {
+        let mut start = start_of(rig, &solution.calibration);
+        let CalibrationError::NotEnoughParallax { camera, .. } = &refusal else {
+            return Err(refusal);
+        };
+        if let Some(pose) = rig.index_of(camera).and_then(|i| start.poses.get_mut(i)) {
+            *pose = None;
+        }
+        if start.poses.iter().flatten().count() < 2 {
+            return Err(refusal);
+        }
+        let Ok(candidate) = joint::explore(rig, pitches, &start, &options.joint) else {
+            return Err(refusal);
+        };
+        solution = joint::finish(rig, pitches, candidate, &options.joint)?;
+        left_out.push(refusal.to_string());
+    }
+    Ok((solution, left_out))
+}
+
+/// A calibration as a start.
+fn start_of(rig: &Rig, calibration: &Calibration) -> InitialEstimate {
+    let of = |rig_camera: &crate::scene::CameraSetup| calibration.camera(&rig_camera.id);
+    let number = |value: fn(&crate::scene::CameraCalibration) -> f64| -> Vec<f64> {
+        rig.cameras.iter().map(|c| of(c).map_or(0.0, value)).collect()
+    };
+    InitialEstimate {
+        poses: rig
+            .cameras
+            .iter()
+            .map(|c| of(c).map(|c| c.camera_from_world))
+            .collect(),
+        capture_delay_s: number(|c| c.capture_delay_s),
+        clock_skew_ppm: number(|c| c.clock_skew_ppm),
+        skew_epoch_ns: rig
+            .cameras
+            .iter()
+            .map(|c| of(c).map_or(0, |c| c.skew_epoch_ns))
+            .collect(),
+        world: calibration.world,
+        score_px: 0.0,
+        notes: Vec::new(),
+    }
 }
 
 fn assemble(mut pitches: Vec<PitchTracks>, solution: JointSolution) -> CalibrationOutcome {
@@ -173,19 +276,39 @@ pub(crate) fn solve_the_rest(rig: &Rig, outcome: &mut CalibrationOutcome) {
         tracks
             .tracks
             .retain(|t| outcome.calibration.camera(&t.camera).is_some());
-        match solve_flight(&outcome.calibration, &tracks.tracks, &options) {
+        let solved = solve_flight(&outcome.calibration, &tracks.tracks, &options);
+        let solved = solved.map_err(|e| e.to_string()).and_then(|flight| {
+            let cameras = tracks.cameras_seen();
+            match doubt(&flight, cameras, &options) {
+                None => Ok(flight),
+                Some(reason) => Err(reason),
+            }
+        });
+        match solved {
             Ok(flight) => outcome.flights.push(PitchFlight {
                 pitch,
                 flight,
                 used: false,
             }),
-            Err(error) => outcome.unsolved.push(UnsolvedPitch {
-                pitch,
-                reason: error.to_string(),
-            }),
+            Err(reason) => outcome.unsolved.push(UnsolvedPitch { pitch, reason }),
         }
     }
     outcome.flights.sort_by_key(|f| f.pitch);
+}
+
+/// Why a flight that the calibration does not rest on is not to be shown.
+fn doubt(flight: &SolvedFlight, cameras: usize, options: &FlightOptions) -> Option<String> {
+    let path = &flight.trajectory;
+    if let Some(reason) = implausible(path, options) {
+        return Some(format!("it is no pitch: {reason}"));
+    }
+    let middle_s = 0.5 * (flight.observed_s.0 + flight.observed_s.1);
+    let sigma_m = position_sigma_m(path, &flight.covariance, middle_s)
+        .iter()
+        .copied()
+        .fold(0.0, f64::max);
+    (sigma_m > POSITION_SIGMA_MAX_M)
+        .then(|| format!("seen by {cameras} camera(s), its position is only good to {sigma_m:.1} m"))
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use anyhow::Context;
 use clap::Args;
 
 use crate::evaluation::efficiency::{scene_bound, study};
-use crate::simulation::{Scenario, simulate_tracks};
+use crate::simulation::Scenario;
 
 const AFTER_HELP: &str = "\
 Examples:
@@ -33,8 +33,7 @@ pub struct BoundArgs {
 /// A scenario that cannot be read or simulated, a scene without a bound, a CSV that cannot be written.
 pub fn run(args: &BoundArgs) -> anyhow::Result<()> {
     let scenario = Scenario::from_path(&args.scenario)?;
-    let simulated = simulate_tracks(&scenario)?;
-    let (_, bound) = scene_bound(&scenario, &simulated)?;
+    let (_, bound) = scene_bound(&scenario)?;
     for (camera, spec) in bound.cameras.iter().zip(&scenario.cameras) {
         println!(
             "camera {}: delay {:.4} frame ({:.1} µs), skew {:.2} ppm, centre {:.1} {:.1} {:.1} mm",

@@ -6,7 +6,7 @@ use std::fmt;
 use serde::Serialize;
 
 use crate::calibration::association::{AssociationOptions, associate};
-use crate::calibration::joint::{BoundOptions, Clocks, JointOptions, bound};
+use crate::calibration::joint::{Bound, BoundOptions, Clocks, JointOptions, bound};
 use crate::calibration::recipe::{CalibrationOptions, CalibrationOutcome, calibrate};
 use crate::calibration::{InitialEstimate, PitchTracks};
 use crate::flight::sighting::CameraNoise;
@@ -115,14 +115,15 @@ pub fn true_start(simulated: &Simulated) -> InitialEstimate {
     }
 }
 
-/// The bound of a simulated scene. Points are those of the simulation that fit the truth.
+/// The bound of a scene and the pitches it speaks of. Points are those of the simulation that fit the truth;
+/// clutter carries no information.
 ///
 /// # Errors
-/// [`EfficiencyError::Calibration`] where the scene has none.
-pub fn scene_bound(
-    scenario: &Scenario,
-    simulated: &Simulated,
-) -> Result<(Vec<PitchTracks>, crate::calibration::joint::Bound), EfficiencyError> {
+/// [`EfficiencyError`] where the scene cannot be simulated or has no bound.
+pub fn scene_bound(scenario: &Scenario) -> Result<(Vec<PitchTracks>, Bound), EfficiencyError> {
+    let mut clean = scenario.clone();
+    clean.clutter.tracks_per_pitch = 0;
+    let simulated = &simulate_tracks(&clean)?;
     let pitches = associate(&simulated.rig, &simulated.tracks, &AssociationOptions::default()).pitches;
     let drifting = simulated.truth.cameras.iter().any(|c| c.clock_skew_ppm != 0.0);
     let options = BoundOptions {
@@ -162,12 +163,12 @@ pub fn study(
     for seed in scenario.seed..scenario.seed + seeds {
         let scenario = scenario.clone().with_seed(seed);
         let simulated = simulate_tracks(&scenario)?;
-        let (_, bound) = scene_bound(&scenario, &simulated)?;
+        let (of_bound, bound) = scene_bound(&scenario)?;
         let clock = std::time::Instant::now();
         let outcome = calibrate(&simulated.rig, &simulated.tracks, &CalibrationOptions::default());
         study.calibration_s += clock.elapsed().as_secs_f64() / seeds as f64;
         match outcome {
-            Ok(outcome) => study.add(seed, &simulated, &outcome, &bound),
+            Ok(outcome) => study.add(seed, &simulated, &outcome, (&of_bound, &bound)),
             Err(error) => study.failures.push(Failure {
                 seed,
                 reason: error.to_string(),
@@ -185,11 +186,11 @@ impl Efficiency {
         seed: u64,
         simulated: &Simulated,
         outcome: &CalibrationOutcome,
-        bound: &crate::calibration::joint::Bound,
+        bound: (&[PitchTracks], &Bound),
     ) {
         for camera in &simulated.truth.cameras {
             let own = outcome.calibration.camera(&camera.id);
-            let limit = bound.cameras.iter().find(|c| c.camera == camera.id);
+            let limit = bound.1.cameras.iter().find(|c| c.camera == camera.id);
             let (Some(own), Some(limit)) = (own, limit) else {
                 self.failures.push(Failure {
                     seed,
@@ -227,7 +228,7 @@ impl Efficiency {
         seed: u64,
         truth: &crate::simulation::PitchTruth,
         outcome: &CalibrationOutcome,
-        bound: &crate::calibration::joint::Bound,
+        bound: (&[PitchTracks], &Bound),
     ) -> Result<(), String> {
         // The flight whose span holds the middle of the true one.
         let middle_ns = (truth.start_time_ns + truth.end_time_ns) / 2;
@@ -237,7 +238,13 @@ impl Efficiency {
             (begin..end).contains(&t)
         });
         let found = found.ok_or("not found")?;
-        let limit = bound.pitches.iter().find(|p| p.pitch == found.pitch);
+        let limit = bound.1.pitches.iter().find(|p| {
+            let stamps = bound.0[p.pitch].tracks.iter().filter_map(|t| t.span());
+            // Association numbers pitches anew when there is clutter; stamps are within ±1 s of true time.
+            stamps
+                .map(|(a, b)| (a.nanos(), b.nanos()))
+                .any(|(a, b)| (a - 1_000_000_000..b + 1_000_000_000).contains(&middle_ns))
+        });
         let flight = &found.flight;
         let of = format!("{} {}", truth.pitch, truth.name);
         let mut push = |quantity, error, sigma, bound| {

@@ -21,6 +21,8 @@ use crate::flight::solve::choose_level;
 use crate::scene::{Calibration, CameraId, ParameterKind, Rig};
 
 pub use bound::{Bound, BoundOptions, CameraBound, Clocks, PitchBound, bound};
+pub use publish::check_delays;
+
 use noise::KEPT;
 use problem::{JointProblem, JointState};
 
@@ -125,7 +127,9 @@ pub fn refine(
     options: &JointOptions,
 ) -> Result<JointSolution, CalibrationError> {
     let candidate = explore(rig, pitches, start, options)?;
-    finish(rig, pitches, candidate, options)
+    let solution = finish(rig, pitches, candidate, options)?;
+    check_delays(rig, &solution, options)?;
+    Ok(solution)
 }
 
 /// Brings a start to the bottom of its valley with a broad loss: enough to choose among starts.
@@ -153,10 +157,11 @@ pub fn explore(
 }
 
 /// Takes a candidate to its maximum-likelihood end: noise from the residuals, points in or out, wrong tracks
-/// out, wobbling flights freed, clocks that do not drift held; then states the uncertainty.
+/// out, wobbling flights freed, clocks that do not drift held; then states the uncertainty. Whether that is
+/// good enough is [`check_delays`]'s to say.
 ///
 /// # Errors
-/// [`CalibrationError`]: too few pitches left, a delay that cannot be observed, no convergence.
+/// [`CalibrationError`]: too few pitches left, no convergence.
 pub fn finish(
     rig: &Rig,
     pitches: &[PitchTracks],
@@ -194,7 +199,7 @@ pub fn finish(
     } else {
         problem.descend(&mut state, KEPT, 10);
     }
-    publish::publish(rig, pitches, &problem, &state, options).map(|mut solution| {
+    publish::publish(rig, pitches, &problem, &state).map(|mut solution| {
         solution.wrong_tracks = wrong;
         solution.cost = cost;
         solution

@@ -39,13 +39,11 @@ pub(super) fn publish(
     pitches: &[PitchTracks],
     problem: &JointProblem,
     state: &JointState,
-    options: &JointOptions,
 ) -> Result<JointSolution, CalibrationError> {
     let at = problem.linearise(state, KEPT);
     let reduced = at.reduce(0.0).ok_or_else(singular)?;
     let covariance = reduced.cameras.inverse();
     let sigmas = noise::sigmas(&covariance);
-    check_delays(rig, problem, state, &sigmas, options)?;
     let flights = flights(pitches, state, &at, &reduced, &covariance);
     let calibration = Calibration {
         version: 1,
@@ -167,25 +165,24 @@ fn column_sigma(
     sigmas.get(at).copied()
 }
 
-/// Refuses a delay that the data leave open.
-fn check_delays(
+/// Refuses a solution that leaves a delay open.
+///
+/// # Errors
+/// [`CalibrationError::NotEnoughParallax`] with the camera, its parallax and the delay's sigma.
+pub fn check_delays(
     rig: &Rig,
-    problem: &JointProblem,
-    state: &JointState,
-    sigmas: &DVector<f64>,
+    solution: &JointSolution,
     options: &JointOptions,
 ) -> Result<(), CalibrationError> {
-    for camera in 0..state.cameras.len() {
-        let Some(sigma_s) = column_sigma(problem, sigmas, camera, ParameterKind::CaptureDelay) else {
-            continue;
-        };
-        let rate = rig.cameras[problem.rig_cameras[camera]].frame_rate_hz;
-        let sigma_frames = sigma_s * rate;
+    let calibration = &solution.calibration;
+    for camera in &calibration.cameras {
+        let rate = rig.camera(&camera.id).map_or(1.0, |c| c.frame_rate_hz);
+        let sigma_frames = camera.capture_delay_sigma_s * rate;
         // Also refuses NaN.
         if !(sigma_frames < options.delay_sigma_frames_max) {
             return Err(CalibrationError::NotEnoughParallax {
-                camera: state.cameras[camera].id.clone(),
-                parallax_deg: parallax_deg(problem, state, camera),
+                camera: camera.id.clone(),
+                parallax_deg: parallax_deg(solution, camera),
                 sigma_frames,
             });
         }
@@ -194,23 +191,23 @@ fn check_delays(
 }
 
 /// Median angle at the ball between a camera and the reference, degrees.
-fn parallax_deg(problem: &JointProblem, state: &JointState, camera: usize) -> f64 {
-    let centre = |c: usize| state.cameras[c].pose.centre_m();
-    let mut angles: Vec<f64> = state
+fn parallax_deg(solution: &JointSolution, camera: &CameraCalibration) -> f64 {
+    let calibration = &solution.calibration;
+    let Some(reference) = calibration.camera(&calibration.reference) else {
+        return 0.0;
+    };
+    let centres = [camera, reference].map(|c| c.camera_from_world.centre_m());
+    let mut angles: Vec<f64> = solution
         .flights
         .iter()
         .flat_map(|f| {
-            let (begin, end) = f.state.trajectory.span_s();
+            let (begin, end) = f.observed_s;
             (0..10).map(move |i| {
-                f.state
-                    .trajectory
+                f.trajectory
                     .position_m(begin + (end - begin) * f64::from(i) / 9.0)
             })
         })
-        .map(|ball| {
-            let (a, b) = (ball - centre(camera), ball - centre(problem.reference));
-            a.angle(&b).to_degrees()
-        })
+        .map(|ball| (ball - centres[0]).angle(&(ball - centres[1])).to_degrees())
         .collect();
     angles.sort_by(f64::total_cmp);
     angles.get(angles.len() / 2).copied().unwrap_or(0.0)
