@@ -123,10 +123,12 @@ pub struct RenderOptions {
     pub occlusion: Option<f64>,
     /// Lens blur 1σ, pixels (0.5).
     pub blur_sigma_px: Option<f64>,
-    /// Grey level of a white surface in full light (215).
+    /// Grey level of a white surface in full light (230).
     pub white_dn: Option<f64>,
     /// Lambert shading of the ball from above: 0 flat, 1 full (1).
     pub shading: Option<f64>,
+    /// Birds and blown paper that cross the picture (0; hard 4).
+    pub birds: Option<usize>,
     /// Pitcher, batter, catcher and umpire.
     pub people: Option<bool>,
 }

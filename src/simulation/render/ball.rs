@@ -15,7 +15,7 @@ const FINE: usize = 4;
 /// Sub-pixels between two time samples, at most.
 const TIME_STEP_PX: f64 = 0.2;
 /// Light that reaches the unlit side.
-const AMBIENT: f32 = 0.35;
+const AMBIENT: f32 = 0.4;
 /// Where the light comes from (world): above, a little from the first-base side and from behind home.
 const SUN: [f64; 3] = [0.25, -0.2, 0.95];
 

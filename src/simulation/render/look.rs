@@ -20,6 +20,7 @@ pub(super) struct Look {
     pub shading: f32,
     pub people: bool,
     pub batter_y_m: f64,
+    pub birds: usize,
 }
 
 impl Look {
@@ -45,6 +46,7 @@ impl Look {
             shading: single(options.shading, base.shading),
             people: options.people.unwrap_or(base.people),
             batter_y_m: base.batter_y_m,
+            birds: options.birds.unwrap_or(base.birds),
         }
     }
 }
@@ -61,10 +63,11 @@ const CLEAN: Look = Look {
     shadow: false,
     occlusion: 0.0,
     blur_sigma_px: 0.5,
-    white_dn: 215.0,
+    white_dn: 230.0,
     shading: 1.0,
     people: true,
     batter_y_m: -0.15,
+    birds: 0,
 };
 
 const HARD: Look = Look {
@@ -76,5 +79,6 @@ const HARD: Look = Look {
     shadow: true,
     occlusion: 0.04,
     batter_y_m: 0.25,
+    birds: 4,
     ..CLEAN
 };

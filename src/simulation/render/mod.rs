@@ -82,9 +82,11 @@ impl CameraRenderer {
         .paint();
         let width = camera.width_px as usize;
         let mut rng = stream(scenario.seed, Purpose::Scenery, index as u64 + 1, 0);
+        let size_px = [f64::from(camera.width_px), f64::from(camera.height_px)];
         let scenery = Scenery::default()
             .with_twinkles(&background.crowd, look.crowd_flicker, &mut rng)
-            .with_bars(usual_path(camera), look.occlusion, &mut rng);
+            .with_bars(usual_path(camera), look.occlusion, &mut rng)
+            .with_birds(look.birds, size_px, &mut rng);
         let pitches = scenario.pitches.len().min(balls.len());
         let plays = plays(&balls[..pitches], &look, scenario);
         Ok(Self {
@@ -138,7 +140,8 @@ impl CameraRenderer {
     pub fn render(&mut self, exposure: &Exposure, out: &mut [u8]) {
         let mut rng = stream(self.seed, Purpose::PixelNoise, self.index + 1, exposure.frame);
         self.canvas.restore(&self.background.tones);
-        self.scenery.draw_behind(exposure.frame, &mut self.canvas);
+        self.scenery
+            .draw_behind(exposure.frame, exposure.true_s, &mut self.canvas);
         self.draw_movers(exposure);
         self.scenery.draw_before(&mut self.canvas);
         let gains = self.gains(exposure.true_s);
@@ -322,7 +325,7 @@ fn usual_path(camera: &CameraSpec) -> ([f64; 2], [f64; 2]) {
     (at([0.0, 16.5, 1.8]), at([0.0, 0.43, 0.75]))
 }
 
-/// What the players do for every pitch: every other batter swings, two of five stand at x > 0.
+/// What the players do for every pitch: every other batter swings; later ones stand at x > 0.
 fn plays(pitches: &[ThrownBall], look: &Look, scenario: &Scenario) -> Vec<Play> {
     if !look.people {
         return Vec::new();
@@ -337,7 +340,7 @@ fn plays(pitches: &[ThrownBall], look: &Look, scenario: &Scenario) -> Vec<Play> 
             release_mps: start.velocity_mps,
             glove_m: ball.flight.position_m(ball.flight.end_s),
             plate_s: plate_s.unwrap_or(ball.flight.end_s),
-            batter_side: if i % 5 == 1 || i % 5 == 3 { 1.0 } else { -1.0 },
+            batter_side: if 2 * i < pitches.len() { -1.0 } else { 1.0 },
             swing: i % 2 == 1,
             batter_y_m: look.batter_y_m,
             mound_m,

@@ -77,7 +77,9 @@ impl Play {
     /// All limbs of all four.
     pub(super) fn limbs(&self, t: f64, white: f32) -> Vec<Limb> {
         let mut all = Vec::with_capacity(64);
-        self.pitcher(t, white, &mut all);
+        // After the follow-through the pitcher goes slowly back to where he began.
+        let back = (0.8 - (t - 0.8) / 2.5).max(-1.5);
+        self.pitcher(if t > 0.8 { back } else { t }, white, &mut all);
         self.batter(t, white, &mut all);
         self.catcher(t, &mut all);
         self.umpire(t, &mut all);

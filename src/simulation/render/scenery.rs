@@ -67,11 +67,47 @@ impl Bar {
     }
 }
 
+/// Something small that crosses the picture again and again on a wavy line.
+#[derive(Debug, Clone, Copy)]
+struct Bird {
+    start: [f64; 2],
+    speed_pxps: [f64; 2],
+    wave_px: f64,
+    wave_hz: f64,
+    radius_px: f64,
+    tone: f32,
+}
+
+impl Bird {
+    fn draw(&self, true_s: f64, canvas: &mut Canvas) {
+        let size = [canvas.width as f64, canvas.height as f64];
+        let place = |k: usize| {
+            let margin = 40.0;
+            (self.start[k] + self.speed_pxps[k] * true_s).rem_euclid(size[k] + 2.0 * margin) - margin
+        };
+        let flap = (std::f64::consts::TAU * self.wave_hz * true_s).sin();
+        let (x, y) = (place(0), place(1) + self.wave_px * flap);
+        let (rx, ry) = (self.radius_px * (1.2 + 0.4 * flap), self.radius_px * 0.7);
+        let Some(region) = canvas.region(x - rx - 1.0, y - ry - 1.0, x + rx + 1.0, y + ry + 1.0) else {
+            return;
+        };
+        for row in region.top..region.bottom {
+            let v = (row as f64 - y) / ry;
+            for (column, tone) in (region.left..).zip(canvas.row(&region, row)) {
+                let u = (column as f64 - x) / rx;
+                let coverage = ((1.0 - u.hypot(v)) * ry + 0.5).clamp(0.0, 1.0) as f32;
+                *tone += coverage * (self.tone - *tone);
+            }
+        }
+    }
+}
+
 /// Everything that disturbs one camera.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Scenery {
     twinkles: Vec<Twinkle>,
     amplitude: f32,
+    birds: Vec<Bird>,
     pub bars: Vec<Bar>,
 }
 
@@ -115,8 +151,22 @@ impl Scenery {
         self
     }
 
-    /// Draws the twinkling places; they lie behind everything that moves.
-    pub(super) fn draw_behind(&self, frame: u64, canvas: &mut Canvas) {
+    /// Adds small things in the air.
+    pub(super) fn with_birds(mut self, count: usize, size_px: [f64; 2], rng: &mut Pcg64Mcg) -> Self {
+        let bird = |_| Bird {
+            start: size_px.map(|s| rng.random_range(0.0..s)),
+            speed_pxps: [rng.random_range(-700.0..700.0), rng.random_range(-120.0..120.0)],
+            wave_px: rng.random_range(0.0..12.0),
+            wave_hz: rng.random_range(1.0..6.0),
+            radius_px: rng.random_range(1.5..5.0),
+            tone: if rng.random::<bool>() { 28.0 } else { 215.0 },
+        };
+        self.birds = (0..count).map(bird).collect();
+        self
+    }
+
+    /// Draws the twinkling places and the birds; they lie behind everything that moves.
+    pub(super) fn draw_behind(&self, frame: u64, true_s: f64, canvas: &mut Canvas) {
         for (i, t) in (0i64..).zip(&self.twinkles) {
             let change = 2.0 * hash(i, (frame / t.hold) as i64, 151) - 1.0;
             let bounds = (t.x - t.radius[0], t.y - t.radius[1]);
@@ -131,6 +181,9 @@ impl Scenery {
                     *tone *= 1.0 + self.amplitude * change * (2.0 * mask).min(1.0);
                 }
             }
+        }
+        for bird in &self.birds {
+            bird.draw(true_s, canvas);
         }
     }
 

@@ -92,3 +92,71 @@ fn a_still_pixel_has_the_noise_it_should_have() {
     assert!((ratio - 1.0).abs() < 0.03, "{ratio}");
     assert!(bias.abs() < 0.08, "{bias}");
 }
+
+#[test]
+fn the_ball_in_the_frame_is_where_the_truth_says() {
+    let mut scenario = Scenario::stock(Layout::TwoOpposite, &[0.4], 1);
+    for camera in &mut scenario.cameras {
+        // A crop of the sensor at full resolution.
+        (camera.width_px, camera.height_px) = (512, 192);
+        camera.intrinsics.cx_px -= 760.0;
+        camera.intrinsics.cy_px -= 330.0;
+    }
+    scenario.render.shading = Some(0.0);
+    scenario.render.read_noise_dn = Some(0.0);
+    scenario.render.electrons_per_dn = Some(1e6);
+    scenario.render.people = Some(false);
+    let truth = simulate_tracks(&scenario).unwrap().truth;
+    let mut checked = 0;
+    for (index, camera) in scenario.cameras.iter().enumerate() {
+        let mut renderer = CameraRenderer::new(&scenario, index).unwrap();
+        for centre in truth.centres_of(&camera.id).iter().filter(|c| c.visible) {
+            let (x0, y0) = (centre.pixel.x.round() as i64, centre.pixel.y.round() as i64);
+            let inside = (14..512 - 14).contains(&x0) && (12..192 - 12).contains(&y0);
+            if !inside || centre.frame % 3 != 0 {
+                continue;
+            }
+            let frame = renderer.frame(&renderer.clock.exposure(centre.frame));
+            let (mut mass, mut sum) = (0.0, [0.0; 2]);
+            for y in y0 - 9..=y0 + 9 {
+                for x in x0 - 11..=x0 + 11 {
+                    let at = (y * 512 + x) as usize;
+                    let behind = f64::from(renderer.background.tones[at]);
+                    // Share of the pixel that the flat white ball covers.
+                    let coverage = (f64::from(frame.bytes()[at]) - behind) / (230.0 - behind);
+                    mass += coverage;
+                    sum[0] += coverage * x as f64;
+                    sum[1] += coverage * y as f64;
+                }
+            }
+            let miss = [sum[0] / mass - centre.pixel.x, sum[1] / mass - centre.pixel.y];
+            // Rounding to whole levels over 437 pixels leaves 0.02 px.
+            assert!(
+                miss[0].hypot(miss[1]) < 0.07,
+                "{miss:?} in frame {}",
+                centre.frame
+            );
+            checked += 1;
+        }
+    }
+    assert!(checked > 10, "{checked}");
+}
+
+#[test]
+fn wires_hide_the_share_of_the_path_they_should() {
+    let mut scenario = small(Preset::Hard);
+    scenario.render.people = Some(false);
+    scenario.pitches = crate::simulation::stock_pitches(6);
+    let mut truth = simulate_tracks(&scenario).unwrap().truth;
+    let (mut hidden, mut all) = (0, 0);
+    for index in 0..2 {
+        let renderer = CameraRenderer::new(&scenario, index).unwrap();
+        let centres = &mut truth.centres[index].centres;
+        let before = centres.iter().filter(|c| c.visible).count();
+        renderer.mark_hidden(centres);
+        all += before;
+        hidden += before - centres.iter().filter(|c| c.visible).count();
+    }
+    let share = hidden as f64 / all as f64;
+    assert!((0.02..0.07).contains(&share), "{share}");
+}
