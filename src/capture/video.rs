@@ -7,7 +7,7 @@ use super::image_folder::imported;
 use super::stamps::{FrameStamps, LIST_NAME, Stamping};
 use super::{CaptureError, FrameGeometry, FrameSource};
 use crate::scene::{CameraId, Frame};
-use crate::vision::image_files::VideoReader;
+use crate::vision::image_files::{VideoReader, is_image_name};
 
 /// Frames of one video file, counted from 0. Its stamps: `<name>.timestamps.csv` beside it, else
 /// `timestamps.csv` beside it (row by row, whatever number its first frame has), else the given rate. The rate
@@ -34,6 +34,17 @@ impl VideoFile {
         geometry: FrameGeometry,
         stamping: Stamping,
     ) -> Result<Self, CaptureError> {
+        let wrong = |reason: &str| CaptureError::NoFrames {
+            camera: camera.clone(),
+            path: file.to_owned(),
+            reason: reason.to_owned(),
+        };
+        if !file.exists() {
+            return Err(wrong("there is no such folder or file"));
+        }
+        if is_image_name(file) {
+            return Err(wrong("is one image; give the folder it is in"));
+        }
         let lists = [
             file.with_extension("timestamps.csv"),
             file.with_file_name(LIST_NAME),
