@@ -421,7 +421,7 @@ fn an_image_that_cannot_be_read_is_named() {
         ),
         (
             &whole[..1000],
-            "is cut short: 971 bytes of pixels, 64x48 need 3072",
+            "is cut short: 975 bytes of pixels, 64x48 need 3072",
         ),
         (b"not an image", "is not a readable image"),
     ];
