@@ -114,17 +114,18 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     let results = pump_all(imports);
     // The session is ended even when a camera failed: what was written stays readable.
     let written: u64 = results.iter().map(|(imported, _)| imported.frames).sum();
-    session.finish()?;
+    let ended = session.finish();
     let mut cameras = Vec::new();
     for (imported, result) in results {
         result.with_context(|| {
             format!(
-                "import stopped; the {written} frames written before are a readable session in {}",
+                "import stopped, {written} frames are kept in {}",
                 args.out.display()
             )
         })?;
         cameras.push(imported);
     }
+    ended?;
     tell(args, &cameras, begun.elapsed().as_secs_f64())
 }
 

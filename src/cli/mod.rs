@@ -3,8 +3,8 @@
 mod emulate;
 mod evaluate;
 mod evaluate_bound;
-mod export;
 mod evaluate_detection;
+mod export;
 mod import;
 mod info;
 mod recover;

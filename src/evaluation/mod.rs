@@ -1,7 +1,7 @@
 //! Results beside the truth: scores that say how good, over how much.
 
-pub mod efficiency;
 mod detection;
+pub mod efficiency;
 mod pitches;
 mod trajectory;
 

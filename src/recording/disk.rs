@@ -61,6 +61,8 @@ pub struct DiskWriter {
     jobs: Option<Sender<Job>>,
     free: Receiver<AlignedBuffer>,
     made: usize,
+    /// What a flush can hand over is a multiple of this.
+    block: usize,
     thread: Option<JoinHandle<io::Result<()>>>,
 }
 
@@ -96,6 +98,7 @@ impl DiskWriter {
             jobs: Some(jobs),
             free,
             made: 1,
+            block: if direct { ALIGNMENT } else { 1 },
             thread: Some(thread),
         })
     }
@@ -161,9 +164,9 @@ impl Write for DiskWriter {
         Ok(count)
     }
 
-    /// Hands the whole blocks gathered so far to the disk; up to 4095 bytes stay.
+    /// Hands what was gathered so far to the disk; for direct writes up to 4095 bytes stay.
     fn flush(&mut self) -> io::Result<()> {
-        let whole = self.current.len() / ALIGNMENT * ALIGNMENT;
+        let whole = self.current.len() / self.block * self.block;
         if whole > 0 {
             let mut next = self.next_buffer()?;
             next.push(self.current.bytes().get(whole..).unwrap_or_default());

@@ -421,14 +421,15 @@ impl Scanner {
                 self.chunk = None;
             }
         }
+        let pending = self.pending.take();
+        if found.is_none() {
+            return Ok(self.at_end());
+        }
         // Its image, if it was still to come, was in the lost bytes.
-        if let Some(info) = self.pending.take() {
+        if let Some(info) = pending {
             self.tell(format!("frame {}: its image is missing", info.frame));
         }
-        if found.is_some() {
-            return Ok(Step::Nothing);
-        }
-        Ok(self.at_end())
+        Ok(Step::Nothing)
     }
 
     fn go_to(&mut self, position: u64) -> std::io::Result<()> {

@@ -71,9 +71,10 @@ impl SessionWriter {
             });
         }
         let about = [("content", "session".to_owned())];
+        // Small, and it must be on the disk at once: through the page cache.
         let mut session = Segment::create(
             folder.join(SESSION_FILE),
-            options.disk,
+            DiskPath::Buffered,
             &attached(&options),
             &about,
         )?;
