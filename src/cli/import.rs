@@ -119,7 +119,7 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     for (imported, result) in results {
         result.with_context(|| {
             format!(
-                "import stopped, {written} frames are kept in {}",
+                "import stopped after {written} frames, what reached the disk is kept in {}",
                 args.out.display()
             )
         })?;
