@@ -11,8 +11,17 @@ use super::disc::{
 };
 use super::patches::Patch;
 
-/// Shared parameters: radius in the middle of the track, its growth, streak scale, light.
-pub const SHARED: usize = 3 + TERMS;
+/// Terms of the light that drift along the track: the lit sphere's. The view turns by tens of degrees while the
+/// ball passes, and the light with it: held still it drew the centre by 0.3 px from end to end.
+const DRIFTS: usize = 3;
+/// Shared parameters: radius in the middle of the track, its growth, streak scale, light, drift of the light.
+pub const SHARED: usize = 3 + TERMS + DRIFTS;
+/// Index of the first drift.
+const DRIFT: usize = 3 + TERMS;
+/// First term of the light that drifts.
+const DRIFTING: usize = TERMS - DRIFTS;
+/// Prior σ of the drift from begin to end.
+const DRIFT_SIGMA: f64 = 0.7;
 /// Most Gauss–Newton steps of a centre.
 const OWN_STEPS_MAX: usize = 10;
 /// Converged when the centre moves less than this, pixels.
@@ -60,6 +69,9 @@ impl Shared {
             let held = if i < TERMS - 3 { POLYNOMIAL_HELD } else { 1.0 };
             *weight = (held / sigma).powi(2);
         }
+        for weight in weights.iter_mut().skip(DRIFT) {
+            *weight = DRIFT_SIGMA.powi(-2);
+        }
         let prior = values;
         // Lit from above and a little from the camera's side, as by day and under lamps.
         values[3 + 6] = -0.8;
@@ -73,7 +85,7 @@ impl Shared {
 
     /// Lets the polynomial of the light go.
     pub fn release_light(&mut self) {
-        for (weight, sigma) in self.weights.iter_mut().skip(3).zip(LIGHT_SIGMA) {
+        for (weight, sigma) in self.weights.iter_mut().skip(3).take(TERMS).zip(LIGHT_SIGMA) {
             *weight = sigma.powi(-2);
         }
     }
@@ -90,6 +102,9 @@ impl Shared {
         parameters[STREAK_SCALE] = self.values[2];
         for i in 0..TERMS {
             parameters[LIGHT + i] = self.values[3 + i];
+        }
+        for i in 0..DRIFTS {
+            parameters[LIGHT + DRIFTING + i] += place * self.values[DRIFT + i];
         }
         parameters
     }
@@ -250,6 +265,9 @@ impl Picture {
         chain[(0, 1)] = -shared.values[0] * self.place / (stretch * stretch);
         for i in 1..PARAMETERS - OWN {
             chain[(i, i + 1)] = 1.0;
+        }
+        for i in 0..DRIFTS {
+            chain[(LIGHT - OWN + DRIFTING + i, DRIFT + i)] = self.place;
         }
         chain
     }
