@@ -8,7 +8,7 @@ use super::error::DetectionError;
 use super::history::History;
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::patches::PatchPool;
-use super::refine::{Refinement, refine};
+use super::refine::{BlurChoice, Refinement, refine};
 use super::regions::{REGION_TILES, RegionNoise};
 use super::tiles::TileMap;
 use crate::geometry::Pixel;
@@ -22,6 +22,8 @@ const BLOB_SIDE_MAX_PX: usize = 48;
 /// Places looked at in such a blob, and the distance between them.
 const PLACES_IN_BLOB: usize = 6;
 const PLACE_STEP_PX: usize = 16;
+/// Pixels around a small blob that are looked at too.
+const WINDOW_MARGIN_PX: f64 = 3.5;
 /// An expected ball is believed from this many σ of a pixel's difference, as the mean over 3×3 pixels.
 const EXPECTED_SIGMAS: f64 = 1.5;
 /// ... and no other candidate may be nearer than this, pixels.
@@ -83,7 +85,7 @@ pub struct Detector {
     expected: Vec<ExpectedBall>,
     detections: Vec<Detection>,
     patches: PatchPool,
-    edge_sigma_px: Option<f64>,
+    blur: BlurChoice,
     counters: DetectorCounters,
 }
 
@@ -112,7 +114,7 @@ impl Detector {
             found: Vec::with_capacity(1024),
             expected: Vec::with_capacity(64),
             patches: PatchPool::new(config.patch_bytes),
-            edge_sigma_px: None,
+            blur: BlurChoice::default(),
             detections: Vec::with_capacity(config.candidates_max + 1),
             counters: DetectorCounters::default(),
             config,
@@ -179,9 +181,7 @@ impl Detector {
     /// kept cut-outs. Points whose cut-out is gone or does not look like the ball keep their centroid and its
     /// larger covariance. `None`: too few cut-outs, nothing changed.
     pub fn refine(&mut self, track: &mut Track) -> Option<Refinement> {
-        let refinement = refine(&self.patches, self.config.exposure_s, self.edge_sigma_px, track)?;
-        self.edge_sigma_px = Some(refinement.edge_sigma_px);
-        Some(refinement)
+        refine(&self.patches, self.config.exposure_s, &mut self.blur, track)
     }
 
     /// Chooses the lag for a ball that moves at least this far between frames and covers this length along its
@@ -280,7 +280,7 @@ impl Detector {
             if side > BLOB_SIDE_MAX_PX {
                 look_into(&images, blob, &self.config, stamp, &mut self.found);
             } else if let Some(found) =
-                moments(&images, blob).and_then(|m| candidate(&self.config, stamp, &m))
+                small_ball(&images, blob, side).and_then(|m| candidate(&self.config, stamp, &m))
             {
                 self.found.push((found, *blob));
             }
@@ -315,7 +315,7 @@ impl Detector {
 fn candidate(config: &DetectorConfig, stamp: FrameStamp, found: &Moments) -> Option<Detection> {
     let [smallest, largest] = config.radius_px;
     let streak = found.streak_px.norm();
-    let fits = (smallest * 0.7..=largest).contains(&found.radius_px) && streak <= 5.0 * largest;
+    let fits = (smallest * 0.4..=largest).contains(&found.radius_px) && streak <= 5.0 * largest;
     let (x, y) = (found.centre_px.x, found.centre_px.y);
     if !fits || config.masks.iter().any(|mask| mask.contains(x, y)) {
         return None;
@@ -329,6 +329,14 @@ fn candidate(config: &DetectorConfig, stamp: FrameStamp, found: &Moments) -> Opt
         streak_px: [found.streak_px.x, found.streak_px.y],
         strength: found.strength,
     })
+}
+
+/// Moments of a small blob and of what is around it: the side of a ball that the light leaves near the
+/// background's level is too weak to be of the blob.
+fn small_ball(images: &Images<'_>, blob: &Blob, side_px: usize) -> Option<Moments> {
+    let own = moments(images, blob)?;
+    let window_px = 0.5 * side_px as f64 + WINDOW_MARGIN_PX;
+    window_moments(images, own.centre_px, window_px, f64::from(blob.difference_sigma)).or(Some(own))
 }
 
 /// The strongest places of a large blob.

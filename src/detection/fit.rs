@@ -24,6 +24,8 @@ const DRIFTING: usize = TERMS - DRIFTS;
 const DRIFT_SIGMA: f64 = 0.7;
 /// Most Gauss–Newton steps of a centre.
 const OWN_STEPS_MAX: usize = 10;
+/// ... while the shared parameters still move.
+const OWN_STEPS_POOLED: usize = 3;
 /// Converged when the centre moves less than this, pixels.
 const STEP_MIN_PX: f64 = 0.002;
 /// The picture is never better than this share of the ball's contrast (optics, seams, steps of the light).
@@ -31,10 +33,10 @@ const MODEL_ERROR_SHARE: f64 = 0.02;
 /// Residuals beyond this many σ count linearly.
 const HUBER_SIGMAS: f64 = 2.5;
 /// Prior σ of the light's terms relative to the level: polynomial, then sphere.
-const LIGHT_SIGMA: [f64; TERMS] = [0.2, 0.2, 0.1, 0.1, 0.1, 2.0, 2.0, 2.0];
+const LIGHT_SIGMA: [f64; TERMS] = [0.08, 0.08, 0.05, 0.05, 0.05, 2.0, 2.0, 2.0];
 /// The polynomial's prior σ is this many times smaller until the sphere has found its light: else the
 /// polynomial takes the light and the sphere stays dark.
-const POLYNOMIAL_HELD: f64 = 8.0;
+const POLYNOMIAL_HELD: f64 = 4.0;
 /// Prior σ of the radius' growth over the track.
 const GROWTH_SIGMA: f64 = 0.5;
 /// Prior σ of ln(radius).
@@ -175,7 +177,7 @@ impl Picture {
     /// Selects the pixels and guesses the level; `None` where there is too little to fit.
     pub fn new(patch: &Patch<'_>, start: &PictureStart, edge: &Edge) -> Option<Self> {
         let (observations, contrast) = observe(patch, start, edge);
-        if observations.len() < 12 || contrast.abs() < 1.0 {
+        if observations.len() < 12 || contrast < 1.0 {
             return None;
         }
         let near = observations
@@ -225,10 +227,10 @@ impl Picture {
     }
 
     /// Finds centre and level for given shared parameters; gives the final linearisation.
-    fn solve_own(&mut self, shared: &Shared, edge: &Edge) -> Option<Normal> {
+    fn solve_own(&mut self, shared: &Shared, edge: &Edge, steps_max: usize) -> Option<Normal> {
         let mut state = self.linearise(&self.own, shared, edge);
         let mut damping = 1e-3;
-        for _ in 0..OWN_STEPS_MAX {
+        for _ in 0..steps_max {
             let mut block: Matrix3<f64> = state.information.fixed_view::<OWN, OWN>(0, 0).into_owned();
             for i in 0..OWN {
                 block[(i, i)] *= 1.0 + damping;
@@ -289,7 +291,7 @@ fn pool(pictures: &mut [Picture], shared: &Shared, edge: &Edge) -> Pooled {
     };
     for picture in pictures {
         let before = picture.own;
-        let Some(normal) = picture.solve_own(shared, edge) else {
+        let Some(normal) = picture.solve_own(shared, edge, OWN_STEPS_POOLED) else {
             picture.own = before;
             continue;
         };
@@ -350,7 +352,7 @@ pub fn fit_shared(
             *shared = trial;
             state = next;
             damping = (damping * 0.2).max(1e-9);
-            if gain < 1e-4 * state.cost.max(1.0) {
+            if gain < 3e-4 * state.cost.max(1.0) {
                 break;
             }
         } else {
@@ -373,7 +375,7 @@ pub fn fit_centre(
     covariance: &SharedMatrix,
     edge: &Edge,
 ) -> Option<FittedCentre> {
-    let normal = picture.solve_own(shared, edge)?;
+    let normal = picture.solve_own(shared, edge, OWN_STEPS_MAX)?;
     let own: Matrix3<f64> = normal.information.fixed_view::<OWN, OWN>(0, 0).into_owned();
     let inverse = own.cholesky()?.inverse();
     let chain = picture.chain(shared);
@@ -386,7 +388,8 @@ pub fn fit_centre(
     })
 }
 
-/// The pixels that the ball may reach with what is behind them, and the mean contrast near the centre.
+/// The pixels that the ball may reach with what is behind them, and the rms contrast near the centre (a ball
+/// may be brighter than the background on one side and darker on the other).
 fn observe(patch: &Patch<'_>, start: &PictureStart, edge: &Edge) -> (Vec<Observation>, f64) {
     let sigma = patch.difference_sigma.max(0.6);
     let noise = 0.5 * sigma * sigma;
@@ -419,7 +422,7 @@ fn observe(patch: &Patch<'_>, start: &PictureStart, edge: &Edge) -> (Vec<Observa
         };
         let value = f64::from(*current);
         if off.norm() < start.radius_px + 0.5 {
-            contrast = (contrast.0 + value - background, contrast.1 + 1.0);
+            contrast = (contrast.0 + (value - background).powi(2), contrast.1 + 1.0);
         }
         let saturated = if *current == u8::MAX { 400.0 } else { 0.0 };
         observations.push(Observation {
@@ -429,7 +432,7 @@ fn observe(patch: &Patch<'_>, start: &PictureStart, edge: &Edge) -> (Vec<Observa
             variance: 1.5 * noise + unsure * unsure + saturated,
         });
     }
-    (observations, contrast.0 / f64::max(contrast.1, 1.0))
+    (observations, (contrast.0 / f64::max(contrast.1, 1.0)).sqrt())
 }
 
 /// Sum of the change of the nine pixels around the start: positive for a ball brighter than the background.

@@ -1,10 +1,8 @@
 //! One camera's eye: frames in, tracks of pitched balls out (detection, then tracking, then a second look).
 
-use crate::detection::{
-    Answers, DetectionError, Detector, DetectorConfig, DetectorCounters, ExpectedBall, Refinement,
-};
+use crate::detection::{Answers, DetectionError, Detector, DetectorConfig, DetectorCounters, ExpectedBall};
 use crate::scene::{CameraId, Detection, Frame, FrameStamp, Track};
-use crate::tracking::{TrackKind, TrackedBall, Tracker, TrackerConfig, TrackerCounters, polish};
+use crate::tracking::{TrackKind, TrackShape, TrackedBall, Tracker, TrackerConfig, TrackerCounters, polish};
 
 /// Departure of refined centres from a smooth path beyond their covariance, pixels.
 const REFINED_FLOOR_PX: f64 = 0.2;
@@ -22,6 +20,7 @@ pub struct EyeConfig {
 pub struct CameraEye {
     detector: Detector,
     tracker: Tracker,
+    tracker_config: TrackerConfig,
     balls: Vec<TrackedBall>,
 }
 
@@ -48,7 +47,8 @@ impl CameraEye {
     pub fn new(camera: CameraId, config: EyeConfig, width_px: u32, height_px: u32) -> Self {
         Self {
             detector: Detector::new(config.detector, width_px, height_px),
-            tracker: Tracker::new(camera, config.tracker),
+            tracker: Tracker::new(camera, config.tracker.clone()),
+            tracker_config: config.tracker,
             balls: Vec::new(),
         }
     }
@@ -84,14 +84,22 @@ impl CameraEye {
             if ball.kind == TrackKind::Pitch
                 && let Some(refinement) = self.detector.refine(&mut ball.track)
             {
-                ball.shape.radius_px = refinement.radius_px;
                 if let Some(polished) = polish(&ball.track, REFINED_FLOOR_PX) {
                     ball.track = polished;
                 }
-                if let Some((step_px, length_px)) = slowest_step(&ball.track, &refinement) {
+                if let Some(shape) = TrackShape::measure(&ball.track, refinement.radius_px) {
+                    ball.shape = shape;
+                    ball.kind = shape.kind(&self.tracker_config);
+                }
+                if refinement.fitted < refinement.left {
+                    ball.kind = TrackKind::Rough;
+                }
+            }
+            if ball.kind == TrackKind::Pitch {
+                if let Some((step_px, length_px)) = slowest_step(&ball.track, ball.shape.radius_px) {
                     self.detector.adapt_lag(step_px, length_px);
                 }
-                tracing::debug!(camera = %ball.track.camera, track = ball.track.track, ?refinement, "refined");
+                tracing::debug!(camera = %ball.track.camera, track = ball.track.track, shape = ?ball.shape, "pitch");
             }
             self.balls.push(ball);
         }
@@ -126,7 +134,7 @@ impl CameraEye {
 const STEP_POINTS: usize = 6;
 
 /// The shortest step of a track between frames, and the ball's length along its motion, pixels.
-fn slowest_step(track: &Track, refinement: &Refinement) -> Option<(f64, f64)> {
+fn slowest_step(track: &Track, radius_px: f64) -> Option<(f64, f64)> {
     let step_px = track
         .points
         .windows(STEP_POINTS)
@@ -136,8 +144,7 @@ fn slowest_step(track: &Track, refinement: &Refinement) -> Option<(f64, f64)> {
             Some((last.pixel.vector() - first.pixel.vector()).norm() / frames)
         })
         .min_by(f64::total_cmp)?;
-    let [begin, end] = refinement.radius_ends_px;
-    Some((step_px, 2.0 * begin.max(end) + 0.3 * step_px))
+    Some((step_px, 2.6 * radius_px + 0.3 * step_px))
 }
 
 #[cfg(test)]

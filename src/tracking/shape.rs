@@ -7,6 +7,9 @@ use crate::scene::Track;
 /// Largest rms distance of a ball's points from a smooth curve, pixels.
 const ROUGHNESS_MAX_PX: f64 = 1.5;
 
+/// Points over which the peak speed is measured.
+const PEAK_POINTS: usize = 8;
+
 /// What kind of movement a track is, by its shape alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TrackKind {
@@ -31,6 +34,8 @@ pub struct TrackShape {
     pub span_s: f64,
     /// Mean velocity, pixels per second.
     pub velocity_px_per_s: [f64; 2],
+    /// Largest speed over eight points, pixels per second.
+    pub peak_speed_px_per_s: f64,
     /// Median radius, pixels.
     pub radius_px: f64,
     /// Rms distance from a smooth curve, pixels.
@@ -86,16 +91,16 @@ impl TrackShape {
         Some(Self {
             span_s,
             velocity_px_per_s: [velocity.x, velocity.y],
+            peak_speed_px_per_s: peak_speed(&samples),
             radius_px,
             roughness_px: (squares / count).sqrt(),
             middle_px: [middle.x, middle.y],
         })
     }
 
-    /// Mean speed across the line of sight in ball radii per second.
+    /// Largest speed across the line of sight in ball radii per second.
     pub fn speed_radii_per_s(&self) -> f64 {
-        let [vx, vy] = self.velocity_px_per_s;
-        vx.hypot(vy) / self.radius_px.max(0.1)
+        self.peak_speed_px_per_s / self.radius_px.max(0.1)
     }
 
     /// The kind this shape alone allows.
@@ -110,4 +115,15 @@ impl TrackShape {
             TrackKind::Pitch
         }
     }
+}
+
+/// Largest speed over [`PEAK_POINTS`] points.
+fn peak_speed(samples: &[Sample]) -> f64 {
+    samples
+        .windows(PEAK_POINTS.min(samples.len()).max(2))
+        .filter_map(|stretch| {
+            let (first, last) = (stretch.first()?, stretch.last()?);
+            Some((last.position_px - first.position_px).norm() / (last.t - first.t).max(1e-9))
+        })
+        .fold(0.0, f64::max)
 }
