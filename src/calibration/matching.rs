@@ -105,6 +105,38 @@ fn seen<'a>(cameras: &[CameraModel], track: &'a Track, origin_ns: i64) -> Option
     })
 }
 
+/// Median misfit in pixels of every pair of tracks of two cameras that overlap in time, by a first flight
+/// through every third point.
+pub(super) fn first_misfits(cameras: &[CameraModel], tracks: &[Track], options: &FlightOptions) -> Vec<f64> {
+    let origin_ns = tracks.iter().filter_map(Track::span).map(|s| s.0.nanos()).min();
+    let seen: Vec<Seen> = tracks
+        .iter()
+        .filter_map(|t| seen(cameras, t, origin_ns.unwrap_or(0)))
+        .collect();
+    let mut misfits = Vec::new();
+    for (a, b) in overlapping(&seen) {
+        let points: Vec<Sighting> = sightings(&seen, &[a, b]).into_iter().step_by(3).collect();
+        let first = linear_start(cameras, &points, options.physics, epoch(&points));
+        misfits.extend(first.map(|(_, median_px)| median_px));
+    }
+    misfits
+}
+
+/// Pairs of tracks of two cameras that overlap in time.
+fn overlapping(seen: &[Seen]) -> Vec<(usize, usize)> {
+    let mut pairs = Vec::new();
+    for (a, first) in seen.iter().enumerate() {
+        for (b, second) in seen.iter().enumerate().skip(a + 1) {
+            let overlap = first.span_s.1.min(second.span_s.1) - first.span_s.0.max(second.span_s.0);
+            let shorter = (first.span_s.1 - first.span_s.0).min(second.span_s.1 - second.span_s.0);
+            if first.camera != second.camera && overlap > 0.3 * shorter {
+                pairs.push((a, b));
+            }
+        }
+    }
+    pairs
+}
+
 fn sightings(seen: &[Seen], tracks: &[usize]) -> Vec<Sighting> {
     let mut all = Vec::new();
     for t in tracks {
@@ -120,32 +152,25 @@ fn sightings(seen: &[Seen], tracks: &[usize]) -> Vec<Sighting> {
 /// Every pair of tracks of two cameras that overlap in time and lie on one plausible flight.
 fn pairs(cameras: &[CameraModel], seen: &[Seen], options: &FlightOptions) -> Vec<Meeting> {
     let mut found = Vec::new();
-    for (a, first) in seen.iter().enumerate() {
-        for (b, second) in seen.iter().enumerate().skip(a + 1) {
-            let overlap = first.span_s.1.min(second.span_s.1) - first.span_s.0.max(second.span_s.0);
-            let shorter = (first.span_s.1 - first.span_s.0).min(second.span_s.1 - second.span_s.0);
-            if first.camera == second.camera || !(overlap > 0.3 * shorter) {
-                continue;
-            }
-            let tracks = vec![a, b];
-            let points = sightings(seen, &tracks);
-            let epoch_ns = epoch(&points);
-            let near = linear_start(cameras, &points, options.physics, epoch_ns)
-                .is_some_and(|(_, median_px)| median_px < FIRST_MISFIT_PX);
-            if !near {
-                continue;
-            }
-            let Ok(state) = fit_flight(cameras, &points, epoch_ns, options) else {
-                continue;
-            };
-            let fits = |t: &usize| share(cameras, seen, *t, &state.trajectory) >= SHARE_NEEDED;
-            if tracks.iter().all(fits) && implausible(&state.trajectory, options).is_none() {
-                found.push(Meeting {
-                    points: points.len(),
-                    tracks,
-                    state,
-                });
-            }
+    for (a, b) in overlapping(seen) {
+        let tracks = vec![a, b];
+        let points = sightings(seen, &tracks);
+        let epoch_ns = epoch(&points);
+        let near = linear_start(cameras, &points, options.physics, epoch_ns)
+            .is_some_and(|(_, median_px)| median_px < FIRST_MISFIT_PX);
+        if !near {
+            continue;
+        }
+        let Ok(state) = fit_flight(cameras, &points, epoch_ns, options) else {
+            continue;
+        };
+        let fits = |t: &usize| share(cameras, seen, *t, &state.trajectory) >= SHARE_NEEDED;
+        if tracks.iter().all(fits) && implausible(&state.trajectory, options).is_none() {
+            found.push(Meeting {
+                points: points.len(),
+                tracks,
+                state,
+            });
         }
     }
     found

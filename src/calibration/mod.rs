@@ -16,6 +16,7 @@ pub mod recipe;
 pub mod relative_pose;
 pub mod resection;
 mod self_calibration;
+mod sweep;
 mod two_view;
 
 pub use error::CalibrationError;

@@ -4,6 +4,7 @@ use super::association::{AssociationOptions, associate};
 use super::initial::{InitialOptions, hypotheses};
 use super::joint::{self, Candidate, JointOptions, JointSolution, WrongTrack};
 use super::matching::{implausible, match_tracks};
+use super::sweep::sweep;
 use super::{CalibrationError, InitialEstimate, PitchTracks};
 use crate::flight::sighting::CameraModel;
 use crate::flight::{FlightOptions, SolvedFlight, position_sigma_m, solve_flight};
@@ -72,6 +73,35 @@ pub fn calibrate(
 ) -> Result<CalibrationOutcome, CalibrationError> {
     // 1. Tracks of several cameras that are one pitch.
     let pitches = associate(rig, tracks, &options.association).pitches;
+    // 2.-5. The usual way; where it leads nowhere or leaves most tracks unexplained, the sweep, if it is better.
+    let usual = by_hypotheses(rig, tracks, pitches, options);
+    let (pitches, solution, notes) = match usual {
+        Ok(found) if is_sound(rig, tracks, &found.1, options) => found,
+        other => match (by_sweep(rig, tracks, options), other) {
+            (Some(swept), Ok(found)) if explained(&swept.1) <= explained(&found.1) => found,
+            (Some(swept), _) => swept,
+            (None, other) => other?,
+        },
+    };
+    // 6. A camera whose delay stays open is left out where two others remain; else the rig is refused.
+    let (solution, open) = leave_open_out(rig, &pitches, solution, options)?;
+    // 7. Flights of the pitches that the calibration does not rest on.
+    let mut outcome = assemble(pitches, solution);
+    outcome.calibration.warnings.extend(notes);
+    outcome.calibration.warnings.extend(open);
+    solve_the_rest(rig, &mut outcome);
+    Ok(outcome)
+}
+
+/// Pitches, solution and what a person must know.
+type Found = (Vec<PitchTracks>, JointSolution, Vec<String>);
+
+fn by_hypotheses(
+    rig: &Rig,
+    tracks: &[Track],
+    pitches: Vec<PitchTracks>,
+    options: &CalibrationOptions,
+) -> Result<Found, CalibrationError> {
     // 2. Where the cameras may be and how late their stamps may run.
     let starts = hypotheses(rig, &pitches, &options.initial)?;
     // 3. Every start to the bottom of its valley.
@@ -88,14 +118,30 @@ pub fn calibrate(
     let (solution, notes) = choose(rig, &pitches, candidates, options, refusal)?;
     // 5. Where tracks are left over or do not fit: tracks to pitches anew, by geometry.
     let (pitches, solution) = rematch(rig, tracks, pitches, solution, options);
-    // 6. A camera whose delay stays open is left out where two others remain; else the rig is refused.
-    let (solution, open) = leave_open_out(rig, &pitches, solution, options)?;
-    // 7. Flights of the pitches that the calibration does not rest on.
-    let mut outcome = assemble(pitches, solution);
-    outcome.calibration.warnings.extend(notes);
-    outcome.calibration.warnings.extend(open);
-    solve_the_rest(rig, &mut outcome);
-    Ok(outcome)
+    Ok((pitches, solution, notes))
+}
+
+fn by_sweep(rig: &Rig, tracks: &[Track], options: &CalibrationOptions) -> Option<Found> {
+    let (pitches, start) = sweep(rig, tracks)?;
+    let candidate = joint::explore(rig, &pitches, &start, &options.joint).ok()?;
+    let solution = joint::finish(rig, &pitches, candidate, &options.joint).ok()?;
+    let (pitches, solution) = rematch(rig, tracks, pitches, solution, options);
+    Some((pitches, solution, start.notes))
+}
+
+/// Tracks that a solution's flights explain.
+fn explained(solution: &JointSolution) -> usize {
+    let all = solution.flights.iter().flat_map(|f| &f.tracks);
+    all.filter(|t| t.kept > t.outliers).count()
+}
+
+/// Whether a solution observes its delays and explains a third of the tracks of the cameras it places.
+fn is_sound(rig: &Rig, tracks: &[Track], solution: &JointSolution, options: &CalibrationOptions) -> bool {
+    let placed = tracks
+        .iter()
+        .filter(|t| solution.calibration.camera(&t.camera).is_some())
+        .count();
+    3 * explained(solution) >= placed && joint::check_delays(rig, solution, &options.joint).is_ok()
 }
 
 fn choose(
@@ -143,14 +189,8 @@ fn rematch(
     solution: JointSolution,
     options: &CalibrationOptions,
 ) -> (Vec<PitchTracks>, JointSolution) {
-    let explained: usize = solution
-        .flights
-        .iter()
-        .flat_map(|f| &f.tracks)
-        .filter(|t| t.kept > t.outliers)
-        .count();
     let placed = |t: &&Track| solution.calibration.camera(&t.camera).is_some();
-    if explained == tracks.iter().filter(placed).count() {
+    if explained(&solution) == tracks.iter().filter(placed).count() {
         return (pitches, solution);
     }
     let calibration = &solution.calibration;

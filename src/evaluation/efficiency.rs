@@ -3,6 +3,7 @@
 
 use std::fmt;
 
+use nalgebra::Point3;
 use serde::Serialize;
 
 use crate::calibration::association::{AssociationOptions, associate};
@@ -11,6 +12,7 @@ use crate::calibration::recipe::{CalibrationOptions, CalibrationOutcome, calibra
 use crate::calibration::{InitialEstimate, PitchTracks};
 use crate::flight::sighting::CameraNoise;
 use crate::flight::{PLATE_FRONT_Y_M, PLATE_MIDDLE_Y_M, RELEASE_Y_M, state_at_plane};
+use crate::geometry::Pose;
 use crate::scene::WorldFrame;
 use crate::simulation::{Scenario, Simulated, SimulationError, simulate_tracks};
 
@@ -104,12 +106,32 @@ pub enum EfficiencyError {
 /// The true cameras as a start.
 pub fn true_start(simulated: &Simulated) -> InitialEstimate {
     let cameras = &simulated.truth.cameras;
+    let world = if simulated.rig.cameras.iter().any(|c| c.landmarks.len() > 3) {
+        WorldFrame::HomePlate
+    } else {
+        WorldFrame::ReferenceCamera
+    };
+    // Without landmarks the world begins at the reference camera; z stays up.
+    let origin = match world {
+        WorldFrame::HomePlate => Point3::origin(),
+        WorldFrame::ReferenceCamera => {
+            let reference = simulated.truth.camera(&simulated.truth.reference);
+            reference.map_or(Point3::origin(), |c| c.camera_from_world.centre_m())
+        }
+    };
+    let moved = |pose: &Pose| Pose {
+        rotation: pose.rotation,
+        translation_m: pose.translation_m + pose.rotation * origin.coords,
+    };
     InitialEstimate {
-        poses: cameras.iter().map(|c| Some(c.camera_from_world)).collect(),
+        poses: cameras
+            .iter()
+            .map(|c| Some(moved(&c.camera_from_world)))
+            .collect(),
         capture_delay_s: cameras.iter().map(|c| c.capture_delay_s).collect(),
         clock_skew_ppm: cameras.iter().map(|c| c.clock_skew_ppm).collect(),
         skew_epoch_ns: cameras.iter().map(|c| c.skew_epoch_ns).collect(),
-        world: WorldFrame::HomePlate,
+        world,
         score_px: 0.0,
         notes: Vec::new(),
     }
@@ -238,6 +260,9 @@ impl Efficiency {
             (begin..end).contains(&t)
         });
         let found = found.ok_or("not found")?;
+        if outcome.calibration.world != WorldFrame::HomePlate {
+            return Ok(());
+        }
         let limit = bound.1.pitches.iter().find(|p| {
             let stamps = bound.0[p.pitch].tracks.iter().filter_map(|t| t.span());
             // Association numbers pitches anew when there is clutter; stamps are within ±1 s of true time.

@@ -4,7 +4,7 @@ use nalgebra::{Matrix2, Matrix2x3, SMatrix, Vector2};
 
 use super::trajectory::{BasisRow, Trajectory};
 use crate::geometry::{Intrinsics, LensError, Pose};
-use crate::scene::{CameraCalibration, CameraId, ParameterKind, TrackPoint};
+use crate::scene::{CameraCalibration, CameraId, CameraSetup, ParameterKind, TrackPoint};
 use crate::time::CameraTiming;
 
 /// Unknowns of one camera, in the order of [`CAMERA_KINDS`].
@@ -72,6 +72,24 @@ impl CameraModel {
                 sigma_px,
                 variance_factor: 1.0,
                 jitter_s: camera.jitter_sigma_s.max(0.0),
+            },
+        }
+    }
+
+    /// From a rig, placed at a pose with a delay; global shutter, no skew.
+    pub fn from_setup(setup: &CameraSetup, pose: Pose, capture_delay_s: f64) -> Self {
+        Self {
+            id: setup.id.clone(),
+            pose,
+            intrinsics: setup.intrinsics,
+            timing: CameraTiming {
+                height_px: setup.height_px,
+                ..CameraTiming::with_delay(capture_delay_s)
+            },
+            noise: CameraNoise {
+                sigma_px: 0.5,
+                variance_factor: 1.0,
+                jitter_s: 0.0,
             },
         }
     }
