@@ -1,5 +1,7 @@
 //! The emulated camera as its peers see it: Aravis' own tool, and a client made of bare sockets.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may")]
+
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::process::Command;
 use std::time::{Duration, Instant};

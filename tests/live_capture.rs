@@ -1,5 +1,7 @@
 //! Live cameras through Aravis, against the emulated camera on loopback addresses: real protocol, real threads.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may")]
+
 use std::net::Ipv4Addr;
 use std::time::{Duration, Instant};
 
