@@ -317,15 +317,25 @@ impl Chart {
     }
 }
 
-/// Moves labels along one axis until they are `gap` apart, in order, as little as a sweep can; returns the
-/// new positions, which stay within `low..=high` where there is room.
+/// Moves labels along one axis until they are `gap` apart, in order, to both sides alike; the new positions stay
+/// within `low..=high` where there is room.
 pub(super) fn spread(positions: &[f64], gap: f64, low: f64, high: f64) -> Vec<f64> {
+    let gap = gap.min((high - low) / positions.len().max(1) as f64);
+    let mirrored: Vec<f64> = positions.iter().map(|p| -p).collect();
     let mut order: Vec<usize> = (0..positions.len()).collect();
     order.sort_by(|a, b| positions[*a].total_cmp(&positions[*b]));
-    let gap = gap.min((high - low) / positions.len().max(1) as f64);
+    // One sweep pushes up and its mirror image down; halfway between two good placements is a good one.
+    let up = swept(positions, &order, gap, [low, high]);
+    order.reverse();
+    let down = swept(&mirrored, &order, gap, [-high, -low]);
+    up.iter().zip(&down).map(|(u, d)| 0.5 * (u - d)).collect()
+}
+
+/// `order` is that of rising positions.
+fn swept(positions: &[f64], order: &[usize], gap: f64, [low, high]: [f64; 2]) -> Vec<f64> {
     let mut placed = positions.to_vec();
     let mut floor = low;
-    for i in &order {
+    for i in order {
         placed[*i] = placed[*i].max(floor);
         floor = placed[*i] + gap;
     }
@@ -400,8 +410,8 @@ mod tests {
 
     #[test]
     fn labels_keep_their_distance_and_their_order() {
-        assert_eq!(spread(&[5.0, 5.0, 20.0], 4.0, 0.0, 100.0), [5.0, 9.0, 20.0]);
-        assert_eq!(spread(&[99.0, 98.0], 4.0, 0.0, 100.0), [100.0, 96.0]);
+        assert_eq!(spread(&[51.0, 53.0, 20.0], 4.0, 0.0, 100.0), [50.0, 54.0, 20.0]);
+        assert_eq!(spread(&[99.0, 98.0], 4.0, 0.0, 100.0), [99.5, 95.5]);
         // No room: as even as it goes.
         let placed = spread(&[1.0; 10], 4.0, 0.0, 10.0);
         assert!(placed.windows(2).all(|w| (w[1] - w[0] - 1.0).abs() < 1e-9));

@@ -74,7 +74,7 @@ pub fn free_html(input: &FreeReportInput<'_>) -> String {
         body += &over_time(&pieces);
     }
     body += "</section>\n";
-    body += &camera_section(calibration, input.rig, input.residuals);
+    body += &camera_section(calibration, input.rig, (input.residuals, &[]));
     body += &conventions::of_trajectory(calibration);
     page::page(&format!("{} · {}", input.title, input.rig.site.name), &body)
 }

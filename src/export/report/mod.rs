@@ -27,7 +27,7 @@ pub struct Residual {
     pub camera: CameraId,
     /// Pitch number; 0 for a motion that is no pitch.
     pub pitch: u32,
-    /// Reference camera's true time since any fixed instant of the session, seconds.
+    /// Reference camera's true time, seconds: within the pitch's flight; of a free motion since any fixed instant.
     pub time_s: f64,
     /// Predicted − observed column, pixels.
     pub dx_px: f64,
@@ -84,18 +84,22 @@ pub fn html(input: &ReportInput<'_>) -> String {
         body += &pitch_tables::measured(input.pitches);
         body += "</section>\n";
     }
-    body += &camera_section(calibration, input.rig, input.residuals);
+    body += &camera_section(calibration, input.rig, (input.residuals, input.pitches));
     body += &conventions::of_pitches(calibration);
     page::page(&format!("{} · {}", input.title, input.rig.site.name), &body)
 }
 
 /// Delays, poses, residuals and, where there was one, the search.
-fn camera_section(calibration: &Calibration, rig: &Rig, residuals: &[Residual]) -> String {
+fn camera_section(
+    calibration: &Calibration,
+    rig: &Rig,
+    (residuals, pitches): (&[Residual], &[Pitch]),
+) -> String {
     format!(
         "<section><h2>Cameras</h2>\n{}<div class=\"cards\">{}{}</div>\n{}</section>\n",
         cameras::delay_and_pose_table(calibration, rig),
         cameras::map(calibration, rig.site.field),
-        residuals::cards(residuals, calibration),
+        residuals::cards(residuals, pitches, calibration),
         cost_trace::plot(calibration)
     )
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::Matrix2;
 
-use crate::scene::{Calibration, CameraCalibration, CameraId};
+use crate::scene::{Calibration, CameraCalibration, CameraId, Pitch};
 
 use super::Residual;
 use super::chart::{Chart, Margins, Scale};
@@ -14,7 +14,7 @@ use super::html::{count, escape, figure, median, number};
 const DOTS_MAX: usize = 4000;
 
 /// One card a camera: scatter above, rms over time below, all at the same scales.
-pub(super) fn cards(residuals: &[Residual], calibration: &Calibration) -> String {
+pub(super) fn cards(residuals: &[Residual], pitches: &[Pitch], calibration: &Calibration) -> String {
     let mut cameras: BTreeMap<&CameraId, Vec<&Residual>> = BTreeMap::new();
     for residual in residuals
         .iter()
@@ -22,22 +22,21 @@ pub(super) fn cards(residuals: &[Residual], calibration: &Calibration) -> String
     {
         cameras.entry(&residual.camera).or_default().push(residual);
     }
-    let times = || residuals.iter().map(|r| r.time_s).filter(|t| t.is_finite());
-    let start = times().fold(f64::INFINITY, f64::min);
-    let span = times().fold(f64::NEG_INFINITY, f64::max) - start;
+    let clock = SessionClock::new(residuals, pitches);
     let points: BTreeMap<&CameraId, Vec<[f64; 2]>> = cameras
         .iter()
-        .map(|(id, all)| (*id, rms_over_time(all, start, span)))
+        .map(|(id, all)| (*id, rms_over_time(all, &clock)))
         .collect();
-    let highest = points.values().flatten().map(|p| p[1]).fold(0.1, f64::max);
+    let over = |k: usize, least: f64| points.values().flatten().map(|p| p[k]).fold(least, f64::max);
+    let end_s = over(0, 1.0);
     let scales = Scales {
         half_px: half_range_px(residuals),
-        time: Scale::linear(-0.04 * span.max(1.0), 1.04 * span.max(1.0)),
-        rms: Scale::linear(0.0, 1.15 * highest),
-        rms_label: if residuals.iter().any(|r| r.pitch > 0) {
-            "rms of each pitch, px"
-        } else {
+        time: Scale::linear(-0.04 * end_s, 1.04 * end_s),
+        rms: Scale::linear(0.0, 1.15 * over(1, 0.1)),
+        rms_label: if pitches.is_empty() {
             "rms over the motion, px"
+        } else {
+            "rms of each pitch, px"
         },
     };
     cameras
@@ -47,6 +46,47 @@ pub(super) fn cards(residuals: &[Residual], calibration: &Calibration) -> String
             card(id, all, calibration.camera(id), (rms, &scales))
         })
         .collect()
+}
+
+/// Where in the session a residual stands.
+struct SessionClock {
+    /// Seconds from the first release to each pitch's.
+    pitch_s: BTreeMap<u32, f64>,
+    /// First and last residual of a motion that is no pitch.
+    motion_s: [f64; 2],
+}
+
+impl SessionClock {
+    fn new(residuals: &[Residual], pitches: &[Pitch]) -> Self {
+        let first_ns = pitches.iter().map(|p| p.release_time_ns).min().unwrap_or(0);
+        let times = || {
+            let free = residuals.iter().filter(|r| r.pitch == 0);
+            free.map(|r| r.time_s).filter(|t| t.is_finite())
+        };
+        Self {
+            pitch_s: pitches
+                .iter()
+                .map(|p| (p.pitch, p.release_time_ns.saturating_sub(first_ns) as f64 / 1e9))
+                .collect(),
+            motion_s: [
+                times().fold(f64::INFINITY, f64::min),
+                times().fold(f64::NEG_INFINITY, f64::max),
+            ],
+        }
+    }
+
+    /// A number that residuals to be taken together share, and their time in the session, seconds; `None` for
+    /// a flight that became no pitch.
+    fn place(&self, residual: &Residual) -> Option<(u32, f64)> {
+        if residual.pitch > 0 {
+            return Some((residual.pitch, *self.pitch_s.get(&residual.pitch)?));
+        }
+        let [start, end] = self.motion_s;
+        let share = (residual.time_s - start) / (end - start).max(1e-9);
+        share
+            .is_finite()
+            .then_some(((SLICES * share) as u32, residual.time_s - start))
+    }
 }
 
 struct Scales {
@@ -68,26 +108,21 @@ fn half_range_px(residuals: &[Residual]) -> f64 {
 /// Slices of a motion that is no pitch.
 const SLICES: f64 = 60.0;
 
-/// (seconds since the first, rms px) of each pitch's kept points, by time; of each slice of time where the
-/// points are of no pitch.
-fn rms_over_time(residuals: &[&Residual], start_s: f64, span_s: f64) -> Vec<[f64; 2]> {
-    let mut sums: BTreeMap<u32, (f64, f64, f64)> = BTreeMap::new();
-    for r in residuals.iter().filter(|r| r.kept && r.time_s.is_finite()) {
-        let group = if r.pitch == 0 {
-            (SLICES * (r.time_s - start_s) / span_s.max(1e-9)) as u32
-        } else {
-            r.pitch
+/// (seconds in the session, rms px) of each pitch's kept points, by time; of each slice of a free motion.
+fn rms_over_time(residuals: &[&Residual], clock: &SessionClock) -> Vec<[f64; 2]> {
+    let mut sums: BTreeMap<u32, [f64; 3]> = BTreeMap::new();
+    for r in residuals.iter().filter(|r| r.kept) {
+        let Some((group, time_s)) = clock.place(r) else {
+            continue;
         };
-        let sum = sums.entry(group).or_default();
-        *sum = (
-            sum.0 + 1.0,
-            sum.1 + r.time_s,
-            sum.2 + r.dx_px * r.dx_px + r.dy_px * r.dy_px,
-        );
+        let [count, time, square] = sums.entry(group).or_default();
+        *count += 1.0;
+        *time += time_s;
+        *square += r.dx_px * r.dx_px + r.dy_px * r.dy_px;
     }
     let mut points: Vec<[f64; 2]> = sums
         .values()
-        .map(|(n, time, square)| [time / n - start_s, (square / n).sqrt()])
+        .map(|[count, time, square]| [time / count, (square / count).sqrt()])
         .collect();
     points.sort_by(|a, b| a[0].total_cmp(&b[0]));
     points
