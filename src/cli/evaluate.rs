@@ -36,6 +36,8 @@ pub enum Score {
     Bound(super::evaluate_bound::BoundArgs),
     /// 2-D tracks against the true centres: recall, precision, bias, false tracks.
     Detection(super::evaluate_detection::EvaluateDetectionArgs),
+    /// The experiment of Kim et al. 2019: its tables and error matrices, with `joint` beside them.
+    Kim2019(super::evaluate_kim2019::Kim2019Args),
 }
 
 /// Runs the score.
@@ -47,6 +49,7 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         return match score {
             Score::Bound(args) => super::evaluate_bound::run(args),
             Score::Detection(args) => super::evaluate_detection::run(args),
+            Score::Kim2019(args) => super::evaluate_kim2019::run(args),
         };
     }
     let (Some(result), Some(truth)) = (&args.result, &args.truth) else {

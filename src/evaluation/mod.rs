@@ -2,6 +2,7 @@
 
 mod detection;
 pub mod efficiency;
+pub mod kim2019;
 mod pitches;
 mod trajectory;
 

@@ -156,6 +156,32 @@ fn steps(trace: &[Evaluation], rates_hz: &[f64]) -> Vec<CostStep> {
         .collect()
 }
 
+/// A reconstruction as a start for another estimator: metres and a world added. Delays in seconds, cameras of the
+/// problem's `others`.
+pub fn as_start(
+    rig: &Rig,
+    pitches: &[PitchTracks],
+    (problem, found): (&Problem, &Reconstruction),
+    delays_s: &[f64],
+) -> InitialEstimate {
+    let mut capture_delay_s = vec![0.0; rig.cameras.len()];
+    for (&camera, &delay) in problem.others.iter().zip(delays_s) {
+        capture_delay_s[camera] = delay;
+    }
+    let placed = world::place(rig, pitches, found, &capture_delay_s);
+    let stamps = pitches.iter().flat_map(|p| &p.tracks).filter_map(|t| t.span());
+    let epoch_ns = stamps.map(|(a, _)| a.nanos()).min().unwrap_or(0);
+    InitialEstimate {
+        poses: placed.poses,
+        capture_delay_s,
+        clock_skew_ppm: vec![0.0; rig.cameras.len()],
+        skew_epoch_ns: vec![epoch_ns; rig.cameras.len()],
+        world: placed.world,
+        score_px: found.reprojection_px,
+        notes: vec![placed.note],
+    }
+}
+
 /// What is minimised.
 pub enum Cost<'a> {
     /// Mean reprojection error, pixels: real data.

@@ -163,6 +163,11 @@ impl Problem {
         ratios.get(ratios.len() / 2).copied()
     }
 
+    /// Points and reprojection error for poses and delays found elsewhere: the measure that all methods share.
+    pub fn at_poses(&self, poses: Vec<Option<Pose>>, delays_s: &[f64]) -> Reconstruction {
+        self.intersect(poses, delays_s)
+    }
+
     fn intersect(&self, poses: Vec<Option<Pose>>, delays_s: &[f64]) -> Reconstruction {
         let mut points = Vec::with_capacity(self.instants.len());
         let mut sums = vec![(0.0, 0.0, 0usize); poses.len()];

@@ -32,10 +32,11 @@ struct Recorded<'a> {
 }
 
 impl Recorded<'_> {
-    fn at(&self, delays: &[f64]) -> f64 {
-        // Out of budget the search is led to an end by a flat landscape.
+    fn at(&self, delays: &[f64]) -> Result<f64, Error> {
+        // argmin's backtracking has no limit of its own: an error ends it. (In the first simplex Nelder–Mead would
+        // panic on one, but a budget is larger than a simplex.)
         if self.trace.borrow().len() >= self.evaluations_max {
-            return PENALTY;
+            return Err(Error::msg("out of evaluations"));
         }
         let cost = (self.cost)(delays);
         let cost = if cost.is_finite() {
@@ -44,7 +45,7 @@ impl Recorded<'_> {
             PENALTY
         };
         self.trace.borrow_mut().push((delays.to_vec(), cost));
-        cost
+        Ok(cost)
     }
 }
 
@@ -52,7 +53,7 @@ impl CostFunction for Recorded<'_> {
     type Param = Vec<f64>;
     type Output = f64;
     fn cost(&self, delays: &Self::Param) -> Result<f64, Error> {
-        Ok(self.at(delays))
+        self.at(delays)
     }
 }
 
@@ -60,18 +61,18 @@ impl Gradient for Recorded<'_> {
     type Param = Vec<f64>;
     type Gradient = Vec<f64>;
     fn gradient(&self, delays: &Self::Param) -> Result<Vec<f64>, Error> {
-        Ok((0..delays.len())
+        (0..delays.len())
             .map(|k| {
                 let side = |h: f64| {
                     let mut moved = delays.clone();
                     moved[k] += h;
                     self.at(&moved)
                 };
-                let slope = (side(GRADIENT_STEP) - side(-GRADIENT_STEP)) / (2.0 * GRADIENT_STEP);
+                let slope = (side(GRADIENT_STEP)? - side(-GRADIENT_STEP)?) / (2.0 * GRADIENT_STEP);
                 // At the edge of the penalty the slope means nothing.
-                if slope.abs() < 1e3 { slope } else { 0.0 }
+                Ok(if slope.abs() < 1e3 { slope } else { 0.0 })
             })
-            .collect())
+            .collect()
     }
 }
 
@@ -85,17 +86,30 @@ pub fn search(
     optimizer: Optimizer,
     evaluations_max: usize,
 ) -> Vec<Evaluation> {
-    let trace = RefCell::new(Vec::new());
-    let recorded = Recorded {
+    let trace: RefCell<Vec<Evaluation>> = RefCell::new(Vec::new());
+    let evaluations_max = evaluations_max.max(4 * (start.len() + 1));
+    let recorded = || Recorded {
         cost,
         trace: &trace,
         evaluations_max,
     };
     // Whatever the solver reports, the trace has it.
-    let _outcome = match optimizer {
-        Optimizer::NelderMead => nelder_mead(recorded, start),
-        Optimizer::QuasiNewton => quasi_newton(recorded, start),
-    };
+    match optimizer {
+        Optimizer::NelderMead => {
+            let _outcome = nelder_mead(recorded(), start);
+        }
+        Optimizer::QuasiNewton => {
+            // Backtracking alone does not keep BFGS's matrix positive: where it is stuck, it starts afresh from the
+            // best point with a shorter first step.
+            let mut from = start.to_vec();
+            for first_step in [0.5, 0.2, 0.05] {
+                let _outcome = quasi_newton(recorded(), &from, first_step);
+                if let Some((at, _)) = least(&trace.borrow()) {
+                    from.clone_from(at);
+                }
+            }
+        }
+    }
     trace.into_inner()
 }
 
@@ -115,23 +129,27 @@ fn nelder_mead(problem: Recorded<'_>, start: &[f64]) -> Result<(), Error> {
     Ok(())
 }
 
-fn quasi_newton(problem: Recorded<'_>, start: &[f64]) -> Result<(), Error> {
+fn quasi_newton(problem: Recorded<'_>, start: &[f64], first_step: f64) -> Result<(), Error> {
     let n = start.len();
     let slope = problem.gradient(&start.to_vec())?;
     let steepness = slope.iter().map(|g| g * g).sum::<f64>().sqrt().max(1e-6);
-    // First step: half a frame downhill.
+    // `first_step` frames downhill.
+    let diagonal = first_step / steepness;
     let inverse: Vec<Vec<f64>> = (0..n)
-        .map(|i| {
-            (0..n)
-                .map(|j| if i == j { 0.5 / steepness } else { 0.0 })
-                .collect()
-        })
+        .map(|i| (0..n).map(|j| if i == j { diagonal } else { 0.0 }).collect())
         .collect();
     let line = BacktrackingLineSearch::new(ArmijoCondition::new(1e-4)?).rho(0.5)?;
     let solver = BFGS::new(line)
         .with_tolerance_grad(1e-6)?
         .with_tolerance_cost(1e-9)?;
-    Executor::new(problem, solver)
+    // A third of the budget for each attempt: argmin's backtracking has no limit of its own.
+    let share = Recorded {
+        evaluations_max: problem
+            .evaluations_max
+            .min(problem.trace.borrow().len() + problem.evaluations_max / 3),
+        ..problem
+    };
+    Executor::new(share, solver)
         .configure(|state| state.param(start.to_vec()).inv_hessian(inverse).max_iters(30))
         .run()?;
     Ok(())
