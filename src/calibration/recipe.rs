@@ -78,7 +78,7 @@ pub fn calibrate(
     let (pitches, solution, notes) = match usual {
         Ok(found) if is_sound(rig, tracks, &found.1, options) => found,
         other => match (by_sweep(rig, tracks, options), other) {
-            (Some(swept), Ok(found)) if explained(&swept.1) <= explained(&found.1) => found,
+            (Some(swept), Ok(found)) if !is_better(rig, &swept.1, &found.1, options) => found,
             (Some(swept), _) => swept,
             (None, other) => other?,
         },
@@ -133,6 +133,16 @@ fn by_sweep(rig: &Rig, tracks: &[Track], options: &CalibrationOptions) -> Option
 fn explained(solution: &JointSolution) -> usize {
     let all = solution.flights.iter().flat_map(|f| &f.tracks);
     all.filter(|t| t.kept > t.outliers).count()
+}
+
+/// Whether a swept solution is to be preferred: it alone observes its delays, or it explains more tracks.
+fn is_better(rig: &Rig, swept: &JointSolution, found: &JointSolution, options: &CalibrationOptions) -> bool {
+    let observes = |solution| joint::check_delays(rig, solution, &options.joint).is_ok();
+    match (observes(swept), observes(found)) {
+        (true, false) => true,
+        (false, true) => false,
+        _ => explained(swept) > explained(found),
+    }
 }
 
 /// Whether a solution observes its delays and explains a third of the tracks of the cameras it places.

@@ -110,7 +110,37 @@ fn prior_cost(trajectory: &Trajectory, prior: &FlightPrior) -> f64 {
         + aero.lift.norm_squared() / (prior.lift_sigma * prior.lift_sigma)
 }
 
+/// L⁻¹ ⊗ I₃ on node-major rows, from the last node up, in place.
+fn whiten(whitening: &SMatrix<f64, NODES, NODES>, rows: &mut [f64]) {
+    for node in (0..NODES).rev() {
+        for axis in 0..3 {
+            rows[3 * node + axis] = (0..=node)
+                .map(|earlier| whitening[(node, earlier)] * rows[3 * earlier + axis])
+                .sum();
+        }
+    }
+}
+
 impl FlightEquations {
+    /// Linearises the points alone; `with_prior` completes it.
+    pub fn of_points(
+        cameras: &[CameraModel],
+        trajectory: &Trajectory,
+        sightings: &[Sighting],
+        loss: Loss,
+    ) -> Self {
+        let mut equations = Self::empty();
+        equations.add_points(cameras, trajectory, sightings, loss);
+        equations
+    }
+
+    /// The same points under a prior.
+    pub fn with_prior(&self, trajectory: &Trajectory, prior: &FlightPrior) -> Self {
+        let mut equations = self.clone();
+        equations.add_prior(trajectory, prior);
+        equations
+    }
+
     /// Linearises points and prior at a trajectory.
     pub fn new(
         cameras: &[CameraModel],
@@ -248,23 +278,12 @@ impl FlightEquations {
             }
         }
         let whitening = trajectory.node_whitening();
-        // Rows are node-major: L⁻¹ ⊗ I₃ from the last node up, in place.
-        for node in (0..NODES).rev() {
-            for axis in 0..3 {
-                let row = 3 * node + axis;
-                let own = whitening[(node, node)];
-                let mut mixed = own * rows.row(row);
-                residuals[row] *= own;
-                for earlier in 0..node {
-                    let w = whitening[(node, earlier)];
-                    mixed += w * rows.row(3 * earlier + axis);
-                    residuals[row] += w * residuals[3 * earlier + axis];
-                }
-                rows.set_row(row, &mixed);
-            }
+        for mut column in rows.column_iter_mut() {
+            whiten(&whitening, column.as_mut_slice());
         }
-        self.hessian += rows.tr_mul(&rows);
-        self.gradient += rows.tr_mul(&residuals);
+        whiten(&whitening, residuals.as_mut_slice());
+        self.hessian.gemm_tr(1.0, &rows, &rows, 1.0);
+        self.gradient.gemv_tr(1.0, &rows, &residuals, 1.0);
         let aero = trajectory.aerodynamics();
         let drag = 1.0 / (prior.drag_sigma * prior.drag_sigma);
         let lift = 1.0 / (prior.lift_sigma * prior.lift_sigma);

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::FlightError;
-use super::equations::{FlightEquations, Loss, Sighting, flight_cost};
+use super::equations::{FlightEquations, Loss, Sighting};
 use super::outcome::{SolvedFlight, summarise};
 use super::physics::Physics;
 use super::sighting::{CAMERA_KINDS, CameraModel, Sight};
@@ -19,6 +19,12 @@ const POINTS_NEEDED: usize = 6;
 /// What −2·ln(evidence) must gain before more residual acceleration is believed. Normal pitches outnumber
 /// knuckleballs; without it half of the normal ones at 0.3 px were given 0.15 m/s².
 const FREEDOM_PENALTY: f64 = 8.0;
+
+/// A step that promises less (squared sigmas) is taken and is the last: the one after it would promise its
+/// square.
+const PROMISE_LITTLE: f64 = 1e-2;
+/// A step that promises less is not taken.
+const PROMISE_NOTHING: f64 = 1e-8;
 
 /// How a flight is solved.
 #[derive(Debug, Clone, PartialEq)]
@@ -165,28 +171,54 @@ pub fn fit_flight(
     choose_level(state, cameras, sightings, levels)
 }
 
-/// Tries ever larger residual accelerations until the marginal likelihood falls.
+/// Moves to the size of residual acceleration with the best marginal likelihood. A look ahead along one
+/// Newton step chooses the size to try; for a normal pitch it ends the search.
 pub fn choose_level(
     mut best: FlightState,
     cameras: &[CameraModel],
     sightings: &[Sighting],
     levels: &[f64],
 ) -> Result<FlightState, FlightError> {
-    let mut best_cost = best.evidence_cost(cameras, sightings);
-    for level in levels.iter().copied() {
-        if level <= best.prior.acceleration_sigma_mps2 {
-            continue;
-        }
-        let mut freer = best.clone();
-        freer.prior.acceleration_sigma_mps2 = level;
-        freer.settle(cameras, sightings)?;
-        let cost = freer.evidence_cost(cameras, sightings) + FREEDOM_PENALTY;
-        if !(cost < best_cost) {
+    let loss = Loss::Truncated { limit: KEEP_LIMIT };
+    for _ in 0..levels.len() {
+        let points = FlightEquations::of_points(cameras, &best.trajectory, sightings, loss);
+        let now = points.with_prior(&best.trajectory, &best.prior);
+        let best_cost = now.evidence_cost(&best.prior).unwrap_or(f64::INFINITY);
+        let promising = levels
+            .iter()
+            .filter(|level| **level > best.prior.acceleration_sigma_mps2)
+            .map(|level| FlightPrior {
+                acceleration_sigma_mps2: *level,
+                ..best.prior
+            })
+            .map(|prior| (evidence_ahead(&points, &best.trajectory, &prior), prior))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((ahead, prior)) = promising else { break };
+        if !(ahead + FREEDOM_PENALTY < best_cost) {
             break;
         }
-        (best, best_cost) = (freer, cost);
+        let mut freer = FlightState {
+            prior,
+            ..best.clone()
+        };
+        freer.settle(cameras, sightings)?;
+        if !(freer.evidence_cost(cameras, sightings) + FREEDOM_PENALTY < best_cost) {
+            break;
+        }
+        best = freer;
     }
     Ok(best)
+}
+
+/// The evidence cost that a full step promises under a prior, points kept as they are.
+fn evidence_ahead(points: &FlightEquations, path: &Trajectory, prior: &FlightPrior) -> f64 {
+    let equations = points.with_prior(path, prior);
+    let promised = equations
+        .factor(0.0)
+        .map_or(0.0, |f| f.solve(&equations.gradient).dot(&equations.gradient));
+    equations
+        .evidence_cost(prior)
+        .map_or(f64::INFINITY, |cost| cost - promised)
 }
 
 impl FlightState {
@@ -218,6 +250,11 @@ impl FlightState {
         loss: Loss,
         iterations: usize,
     ) -> Result<(), FlightError> {
+        // A broad loss is only the way to the next one.
+        let little = match loss {
+            Loss::Cauchy { .. } => 1.0,
+            Loss::Truncated { .. } => PROMISE_LITTLE,
+        };
         let mut damping = 1e-6;
         let mut equations = FlightEquations::new(cameras, &self.trajectory, sightings, loss, &self.prior);
         for _ in 0..iterations {
@@ -230,23 +267,23 @@ impl FlightState {
                 None => return Err(FlightError::Unobservable),
             };
             let promised = -step.dot(&equations.gradient);
+            if promised < PROMISE_NOTHING {
+                break;
+            }
             let trial = self
                 .trajectory
                 .with_parameters(self.trajectory.parameters() + &step);
-            let cost = flight_cost(cameras, &trial, sightings, loss, &self.prior);
-            if cost <= equations.cost() {
+            // Derivatives along with the cost: nearly every step is accepted and needs them next.
+            let there = FlightEquations::new(cameras, &trial, sightings, loss, &self.prior);
+            if there.cost() <= equations.cost() {
                 self.trajectory = trial;
-                let gain = equations.cost() - cost;
-                if promised < 1e-4 || gain < 1e-5 * equations.cost().min(1e3) {
-                    return Ok(());
-                }
+                equations = there;
                 damping = (damping * 0.1).max(1e-9);
-                equations = FlightEquations::new(cameras, &self.trajectory, sightings, loss, &self.prior);
             } else {
-                if promised < 1e-4 {
-                    return Ok(());
-                }
                 damping = (damping * 20.0).max(1e-4);
+            }
+            if promised < little {
+                break;
             }
         }
         Ok(())

@@ -11,7 +11,7 @@ use super::trajectory::{BasisRow, TERMS, Trajectory};
 const UNKNOWNS: usize = 9;
 /// 1σ of drag and lift about the start's prior (gravity alone), m/s² per axis.
 const FORCE_SIGMA_MPS2: f64 = 12.0;
-/// Passes of re-weighting; the weights of 20 % gross outliers are below 1 % after six.
+/// Most passes of re-weighting; the weights of 20 % gross outliers are below 1 % after six.
 const PASSES: usize = 10;
 
 struct Row {
@@ -79,12 +79,16 @@ pub fn linear_start(
         }
         let mut sorted = misfits.clone();
         sorted.sort_by(f64::total_cmp);
+        let median_before_px = median_px;
         median_px = *sorted.get(sorted.len() / 2)?;
         let width = (2.0 * median_px).max(0.5);
         for ((weight, misfit), scale) in weights.iter_mut().zip(&misfits).zip(&scales) {
             *weight = scale / (1.0 + (misfit / width).powi(2));
         }
         solution = Some(c);
+        if (median_before_px - median_px).abs() < 0.02 * median_px {
+            break;
+        }
     }
     let c = solution?;
     let mut parameters = empty.parameters().clone();
