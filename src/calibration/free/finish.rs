@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3};
 
-use super::grow::{Grown, Phase, Session};
+use super::grow::{AGREES_PX, Grown, Phase, Session};
 use super::problem::{CameraState, Distance, Problem, State, View};
 use super::solver::{Held, fit_spline, minimise, redundancy, update_scales};
 use super::spline::{ORDER, Spline};
@@ -109,12 +109,13 @@ fn refined(
     (reference, distances): (usize, &[Distance]),
     (knot_s, jerk_precision): (f64, f64),
 ) -> Result<(Solution, f64), CalibrationError> {
-    let support = Support::new(&session.views, &state);
+    let agreeing = session.agreeing(&state, AGREES_PX);
+    let support = Support::new(&agreeing, &state);
     let spans = support.spans();
     if spans.is_empty() {
         return Err(stuck("no stretch of time is seen by two cameras"));
     }
-    let views = support.restricted(&session.views, &state);
+    let views = support.restricted(&agreeing, &state, 0.0);
     state.spline = Spline::covering(&spans, knot_s);
     let mut problem = session.problem(&views, &state, (reference, Phase::Full));
     problem.distances = distances
@@ -130,7 +131,7 @@ fn refined(
     fit_spline(&problem, &mut state, depth, 6).ok_or_else(|| stuck("the curve's equations are singular"))?;
     for _ in 0..ROUNDS {
         let before = problem.jerk_precision;
-        let cost = minimise(&problem, &mut state, 10, 1e-7);
+        let cost = minimise(&problem, &mut state, 4, 1e-5);
         update_scales(&mut problem, &mut state).ok_or_else(|| stuck("the normal matrix is singular"))?;
         problem.redundancy = redundancy(&problem, &state);
         let settled = (problem.cost(&state) - cost).abs() < 1e-3 * cost.abs();
@@ -149,7 +150,7 @@ fn refined(
         jerk_precision,
         ..
     } = problem;
-    let support = Support::new(&session.views, &state);
+    let support = Support::new(&session.agreeing(&state, AGREES_PX), &state);
     Ok((
         Solution {
             covariance: factor.border_covariance() * redundancy,

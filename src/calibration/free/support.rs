@@ -55,8 +55,8 @@ impl Support {
         spans.iter().map(|(a, b)| (a - MARGIN_S, b + MARGIN_S)).collect()
     }
 
-    /// The views with only the sightings of calibrated cameras inside the spans.
-    pub fn restricted(&self, views: &[View], state: &State) -> Vec<View> {
+    /// The views with only the sightings of calibrated cameras inside the spans, at least `apart_s` apart.
+    pub fn restricted(&self, views: &[View], state: &State, apart_s: f64) -> Vec<View> {
         let spans = self.spans();
         views
             .iter()
@@ -64,10 +64,16 @@ impl Support {
             .map(|(view, camera)| View {
                 sightings: match camera {
                     Some(camera) => {
-                        let kept = view.sightings.iter();
-                        kept.filter(|s| inside(&spans, view.true_s(camera, s)))
-                            .copied()
-                            .collect()
+                        let mut last_s = f64::NEG_INFINITY;
+                        let kept = view.sightings.iter().filter(|s| {
+                            let keep =
+                                s.stamped_s - last_s >= apart_s && inside(&spans, view.true_s(camera, s));
+                            if keep {
+                                last_s = s.stamped_s;
+                            }
+                            keep
+                        });
+                        kept.copied().collect()
                     }
                     None => vec![],
                 },
