@@ -29,7 +29,7 @@ impl Default for TrajectoryScoring {
     fn default() -> Self {
         Self {
             gap_s: 0.5,
-            step_s: 0.5,
+            step_s: 0.2,
             rows_share_min: 0.8,
         }
     }

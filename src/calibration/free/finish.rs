@@ -81,7 +81,10 @@ fn regauge(
         camera.pose.translation_m *= scale;
     }
     if let Some(camera) = &mut state.cameras[reference] {
+        // What the subtraction leaves is rounding (or −0).
         camera.pose = Pose::identity();
+        camera.delay_s = 0.0;
+        camera.skew_ppm = 0.0;
     }
     Some(scale)
 }

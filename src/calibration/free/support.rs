@@ -28,7 +28,10 @@ impl Support {
                 None => vec![],
             })
             .collect();
-        let shared = at_least_two(&cameras);
+        let mut shared = at_least_two(&cameras);
+        // A stretch too short for a piece of spline has no curve of its own.
+        let pieces = pieces(&shared);
+        shared.retain(|(begin, _)| inside(&pieces, *begin));
         Self { cameras, shared }
     }
 
@@ -42,17 +45,10 @@ impl Support {
         self.cameras.iter().filter(|c| inside(c, t_s)).count()
     }
 
-    /// Pieces for the spline: shared stretches, short breaks bridged, short ones left out, margins added.
+    /// Pieces for the spline, margins added.
     pub fn spans(&self) -> Vec<(f64, f64)> {
-        let mut spans: Vec<(f64, f64)> = vec![];
-        for &(begin, end) in &self.shared {
-            match spans.last_mut() {
-                Some(last) if begin - last.1 < BRIDGE_S => last.1 = end,
-                _ => spans.push((begin, end)),
-            }
-        }
-        spans.retain(|(begin, end)| end - begin > SHORTEST_S);
-        spans.iter().map(|(a, b)| (a - MARGIN_S, b + MARGIN_S)).collect()
+        let pieces = pieces(&self.shared);
+        pieces.iter().map(|(a, b)| (a - MARGIN_S, b + MARGIN_S)).collect()
     }
 
     /// The views with only the sightings of calibrated cameras inside the spans, at least `apart_s` apart.
@@ -101,6 +97,19 @@ fn stretches(times_s: impl Iterator<Item = f64>, gap_s: f64) -> Vec<(f64, f64)> 
     found
 }
 
+/// Shared stretches with short breaks bridged and short ones left out.
+fn pieces(shared: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut pieces: Vec<(f64, f64)> = vec![];
+    for &(begin, end) in shared {
+        match pieces.last_mut() {
+            Some(last) if begin - last.1 < BRIDGE_S => last.1 = end,
+            _ => pieces.push((begin, end)),
+        }
+    }
+    pieces.retain(|(begin, end)| end - begin > SHORTEST_S);
+    pieces
+}
+
 fn at_least_two(cameras: &[Vec<(f64, f64)>]) -> Vec<(f64, f64)> {
     let mut events: Vec<(f64, i32)> = cameras
         .iter()
@@ -137,6 +146,10 @@ mod tests {
         assert_eq!(
             stretches([0.0, 0.2, 0.9, 1.0].into_iter(), 0.5),
             [(0.0, 0.2), (0.9, 1.0)]
+        );
+        assert_eq!(
+            pieces(&[(0.0, 0.4), (1.0, 4.0), (10.0, 10.5), (20.0, 22.0)]),
+            [(0.0, 4.0), (20.0, 22.0)]
         );
         assert!(inside(&cameras[0], 11.0) && !inside(&cameras[0], 5.0) && !inside(&cameras[0], -1.0));
     }
