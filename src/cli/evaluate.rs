@@ -36,6 +36,8 @@ pub enum Score {
     Bound(super::evaluate_bound::BoundArgs),
     /// 2-D tracks against the true centres: recall, precision, bias, false tracks.
     Detection(super::evaluate_detection::EvaluateDetectionArgs),
+    /// A free motion's trajectory.csv against a true trajectory in its own world and clock.
+    Trajectory(super::evaluate_trajectory::EvaluateTrajectoryArgs),
 }
 
 /// Runs the score.
@@ -47,6 +49,7 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         return match score {
             Score::Bound(args) => super::evaluate_bound::run(args),
             Score::Detection(args) => super::evaluate_detection::run(args),
+            Score::Trajectory(args) => super::evaluate_trajectory::run(args),
         };
     }
     let (Some(result), Some(truth)) = (&args.result, &args.truth) else {

@@ -4,6 +4,7 @@ mod emulate;
 mod evaluate;
 mod evaluate_bound;
 mod evaluate_detection;
+mod evaluate_trajectory;
 mod export;
 mod import;
 mod info;
