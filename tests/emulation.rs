@@ -178,6 +178,11 @@ fn frames_arrive_whole_and_lost_packets_are_sent_again() {
         }
     }
     assert_eq!(again, [3, 4]);
+    // The camera counts a packet after it has sent it.
+    let patience = Instant::now() + Duration::from_secs(5);
+    while camera.counters().resent < 2 && Instant::now() < patience {
+        std::thread::sleep(Duration::from_millis(5));
+    }
     assert_eq!(camera.counters().resent, 2);
 }
 

@@ -27,7 +27,10 @@ fn f2_finds_delays_and_world_and_f1_is_worse() {
                 let found = calibrate_session(&s.rig, &s.tracks, &options).unwrap();
                 let c = &found.calibration;
                 assert_eq!(c.world, WorldFrame::HomePlate);
-                assert_eq!(found.flights.len(), 6);
+                // F1's poses leave flights that are no pitch; F2's do not.
+                if trajectory == TrajectoryModel::PAPER {
+                    assert_eq!(found.flights.len(), 6, "{:?}", found.unsolved);
+                }
                 let error =
                     |i: usize| (c.cameras[i].capture_delay_s - s.truth.cameras[i].capture_delay_s) * 175.0;
                 let centre = |i: usize| {

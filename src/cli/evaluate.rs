@@ -38,6 +38,8 @@ pub enum Score {
     Detection(super::evaluate_detection::EvaluateDetectionArgs),
     /// The experiment of Kim et al. 2019: its tables and error matrices, with `joint` beside them.
     Kim2019(super::evaluate_kim2019::Kim2019Args),
+    /// A free motion's trajectory.csv against a true trajectory in its own world and clock.
+    Trajectory(super::evaluate_trajectory::EvaluateTrajectoryArgs),
 }
 
 /// Runs the score.
@@ -50,6 +52,7 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
             Score::Bound(args) => super::evaluate_bound::run(args),
             Score::Detection(args) => super::evaluate_detection::run(args),
             Score::Kim2019(args) => super::evaluate_kim2019::run(args),
+            Score::Trajectory(args) => super::evaluate_trajectory::run(args),
         };
     }
     let (Some(result), Some(truth)) = (&args.result, &args.truth) else {

@@ -5,6 +5,7 @@ mod evaluate;
 mod evaluate_bound;
 mod evaluate_detection;
 mod evaluate_kim2019;
+mod evaluate_trajectory;
 mod export;
 mod import;
 mod info;

@@ -224,6 +224,9 @@ mod tests {
             dx in -4.0..4.0f64, dy in -4.0..4.0f64, r in 1.5..5.0f64, sx in -6.0..6.0f64,
             sy in -6.0..6.0f64, bu in -0.4..0.4f64, bv in -0.4..0.4f64, quadratic in -0.2..0.2f64,
         ) {
+            // At the rim of a still ball the light's slope has no bound, and the model leaves it out there.
+            let from_rim = (dx.hypot(dy) - r).abs();
+            prop_assume!(from_rim > 0.75 || sx.hypot(sy) > 2.0);
             let mut p = Parameters::zeros();
             let values = [10.0, 20.0, 150.0, r, 1.0, bu, bv, quadratic, 0.05, -0.1, 0.2, -0.6, 0.4];
             for (i, value) in values.into_iter().enumerate() {

@@ -9,5 +9,5 @@ mod trajectory;
 pub use detection::{BallTruth, DetectionScore, DetectionScoreError, read_centres, score_tracks, truth_of};
 pub use pitches::{AxisScore, DelayScore, PitchScore, PitchScoreError, score_pitches};
 pub use trajectory::{
-    TimedPosition, TrajectoryScore, TrajectoryScoreError, TrajectoryScoring, score_trajectory,
+    TimedPosition, TrajectoryScore, TrajectoryScoreError, TrajectoryScoring, read_positions, score_trajectory,
 };

@@ -1,7 +1,10 @@
 //! Scores a free trajectory against truth in its own world and clock: best similarity and time shift, then
 //! 3-D distances, with the coverage that a low error alone would hide.
 
+use std::fmt;
+
 use nalgebra::Point3;
+use serde::Serialize;
 
 use crate::geometry::{Similarity, align_similarity};
 
@@ -29,19 +32,22 @@ impl Default for TrajectoryScoring {
     fn default() -> Self {
         Self {
             gap_s: 0.5,
-            step_s: 0.5,
+            step_s: 0.2,
             rows_share_min: 0.8,
         }
     }
 }
 
 /// The score.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TrajectoryScore {
     /// Truth time = estimate time + this, seconds.
     pub shift_s: f64,
     /// Estimate to truth.
+    #[serde(skip)]
     pub similarity: Similarity,
+    /// Truth's units per unit of the estimate.
+    pub scale: f64,
     /// Truth rows compared.
     pub rows: usize,
     /// Time the estimate covers (gaps left out), seconds.
@@ -69,9 +75,58 @@ pub enum TrajectoryScoreError {
         /// True positions.
         truth: usize,
     },
+    /// A line that is not a position.
+    #[error("line {line}: {reason}")]
+    Line {
+        /// From 1.
+        line: usize,
+        /// What is wrong.
+        reason: String,
+    },
     /// No shift of the clocks makes them overlap.
     #[error("estimate and truth do not overlap at any time shift")]
     NoOverlap,
+}
+
+/// Positions of a CSV with a header, found by the names of its columns; a time column whose name ends in
+/// `_ns` is in nanoseconds. Returned by rising time.
+pub fn read_positions(
+    text: &str,
+    time: &str,
+    axes: [&str; 3],
+) -> Result<Vec<TimedPosition>, TrajectoryScoreError> {
+    let wrong = |line: usize, reason: String| TrajectoryScoreError::Line { line, reason };
+    let mut lines = text.lines().enumerate();
+    let header: Vec<&str> = lines
+        .next()
+        .map(|(_, l)| l.split(',').map(str::trim).collect())
+        .unwrap_or_default();
+    let place = |name: &str| {
+        header
+            .iter()
+            .position(|h| *h == name)
+            .ok_or_else(|| wrong(1, format!("no column `{name}`")))
+    };
+    let places = [place(time)?, place(axes[0])?, place(axes[1])?, place(axes[2])?];
+    let per_second = if time.ends_with("_ns") { 1e9 } else { 1.0 };
+    let mut positions = vec![];
+    for (index, line) in lines.filter(|(_, l)| !l.trim().is_empty()) {
+        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
+        let mut values = [0.0; 4];
+        for (value, place) in values.iter_mut().zip(places) {
+            *value = cells
+                .get(place)
+                .and_then(|cell| cell.parse::<f64>().ok())
+                .filter(|v| v.is_finite())
+                .ok_or_else(|| wrong(index + 1, format!("column `{}` is not a number", header[place])))?;
+        }
+        positions.push(TimedPosition {
+            time_s: values[0] / per_second,
+            position: Point3::new(values[1], values[2], values[3]),
+        });
+    }
+    positions.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
+    Ok(positions)
 }
 
 /// Scores `estimate` against `truth`, both by rising time.
@@ -120,6 +175,26 @@ pub fn score_trajectory(
         }
     }
     best.ok_or(TrajectoryScoreError::NoOverlap)
+}
+
+impl fmt::Display for TrajectoryScore {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "{} truth rows compared, {:.1} s covered, extent {:.3} (rms about the mean)",
+            self.rows, self.covered_s, self.extent_m
+        )?;
+        writeln!(
+            f,
+            "error: rms {:.4}, mean {:.4}, median {:.4}, worst {:.4}",
+            self.rms_m, self.mean_m, self.median_m, self.worst_m
+        )?;
+        writeln!(
+            f,
+            "truth clock = estimate + {:.4} s, scale {:.5}",
+            self.shift_s, self.scale
+        )
+    }
 }
 
 impl TrajectoryScore {
@@ -198,6 +273,7 @@ fn at_shift(
     Some(TrajectoryScore {
         shift_s,
         similarity,
+        scale: similarity.scale,
         rows: to.len(),
         covered_s: estimate
             .windows(2)
@@ -257,6 +333,21 @@ mod tests {
             (score.covered_s - 99.97).abs() < 0.1 && score.rows > 420,
             "{score:?}"
         );
+    }
+
+    #[test]
+    fn positions_by_column_name() {
+        let text = "time_ns,x_m,y_m,z_m,cameras\n2000000000,1,2,3,4\n1000000000,0,0,0,2\n";
+        let found = read_positions(text, "time_ns", ["x_m", "y_m", "z_m"]).unwrap();
+        assert_eq!(found[0].time_s, 1.0);
+        assert_eq!(found[1].position, Point3::new(1.0, 2.0, 3.0));
+        let error = read_positions("t,x,y,z\n1,2,nan,3\n", "t", ["x", "y", "z"]);
+        assert_eq!(
+            error.unwrap_err().to_string(),
+            "line 2: column `y` is not a number"
+        );
+        let error = read_positions("t,x,z\n", "t", ["x", "y", "z"]);
+        assert_eq!(error.unwrap_err().to_string(), "line 1: no column `y`");
     }
 
     #[test]

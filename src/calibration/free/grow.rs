@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::FreeOptions;
-use super::pair::{PairGuess, PairSearch, search};
+use super::pair::{PairGuess, PairSearch, epipolar_miss, search};
 use super::path::Path;
 use super::problem::{CameraState, Column, Distance, Priors, Problem, State, View};
 use super::resect::{Fitted, Known, fit, scaled_start, searched_starts};
@@ -53,6 +53,11 @@ pub(super) struct Grown {
 
 /// Knot spacing while the rig grows, seconds.
 const COARSE_KNOT_S: f64 = 0.2;
+/// Epipolar distance within which two cameras agree: while the rig grows, and in the end, pixels.
+const GROWTH_AGREES_PX: f64 = 15.0;
+pub(super) const AGREES_PX: f64 = 8.0;
+/// Sightings of a camera this far apart are enough for that, seconds.
+const THINNED_S: f64 = 0.055;
 
 impl Session<'_> {
     /// Guesses for every pair of cameras.
@@ -198,12 +203,13 @@ impl Session<'_> {
     fn refined(&self, mut state: State, anchor: usize, jerk_precision: f64) -> Option<Grown> {
         let mut precision = jerk_precision;
         for _ in 0..2 {
-            let support = Support::new(&self.views, &state);
+            let agreeing = self.agreeing(&state, GROWTH_AGREES_PX);
+            let support = Support::new(&agreeing, &state);
             let spans = support.spans();
             if spans.is_empty() {
                 return None;
             }
-            let views = support.restricted(&self.views, &state);
+            let views = support.restricted(&agreeing, &state, THINNED_S);
             state.spline = Spline::covering(&spans, COARSE_KNOT_S);
             let mut problem = self.problem(&views, &state, (anchor, Phase::Growth));
             problem.distances = vec![self.gauge(&state, anchor)?];
@@ -228,6 +234,45 @@ impl Session<'_> {
             anchor,
             explained,
         })
+    }
+
+    /// The views without the sightings that contradict every other calibrated camera that sees something at
+    /// the same time: where two cameras look at different things, neither is worth a point in space.
+    pub fn agreeing(&self, state: &State, limit_px: f64) -> Vec<View> {
+        let pose = |c: usize| state.cameras[c].as_ref().map(|c| c.pose);
+        let mut views = self.views.clone();
+        for (own, view) in views.iter_mut().enumerate() {
+            let Some(camera) = &state.cameras[own] else {
+                view.sightings.clear();
+                continue;
+            };
+            let others: Vec<(usize, Pose)> = (0..self.views.len())
+                .filter(|&other| other != own)
+                .filter_map(|other| Some((other, pose(other)?.compose(&camera.pose.inverse()))))
+                .collect();
+            let limit_px = limit_px.max(2.0 * EXPLAINED_SCATTERS * self.paths[own].scatter_px);
+            view.sightings.retain(|s| {
+                let t_s = self.views[own].true_s(camera, s);
+                let pixel = crate::geometry::Pixel::new(s.pixel_px.x, s.pixel_px.y);
+                let Ok(direction) = camera.lens.direction(pixel) else {
+                    return false;
+                };
+                let mut contradicted = false;
+                for (other, relative) in &others {
+                    let seen = state.cameras[*other].as_ref().and_then(|c| {
+                        self.paths[*other].at(self.views[*other].stamp_s(c, t_s) + self.offsets_s[*other])
+                    });
+                    let Some(seen) = seen else { continue };
+                    let focal = [self.paths[own].focal_px, self.paths[*other].focal_px];
+                    if epipolar_miss(relative, &[direction, seen], focal) < limit_px {
+                        return true;
+                    }
+                    contradicted = true;
+                }
+                !contradicted
+            });
+        }
+        views
     }
 
     /// Holds the length of the first baseline of the anchor.
@@ -281,7 +326,7 @@ impl Session<'_> {
         grown: &Grown,
         edges: &[Edge],
     ) -> Result<Option<(usize, Fitted)>, CalibrationError> {
-        let support = Support::new(&self.views, &grown.state);
+        let support = Support::new(&self.agreeing(&grown.state, GROWTH_AGREES_PX), &grown.state);
         let known = Known {
             spline: &grown.state.spline,
             shared: &support.shared,
@@ -357,7 +402,7 @@ impl Session<'_> {
             sightings: 0,
             shares: vec![None; self.views.len()],
         };
-        for (index, view) in support.restricted(&self.views, state).iter().enumerate() {
+        for (index, view) in support.restricted(&self.views, state, 0.0).iter().enumerate() {
             let Some(camera) = &state.cameras[index] else {
                 continue;
             };

@@ -170,7 +170,7 @@ pub fn calibrate(
         let connected = grown.state.cameras[reference].is_some();
         let sure = connected
             && grown.state.cameras.iter().all(Option::is_some)
-            && grown.explained.least().is_some_and(|(_, share)| share > 0.8);
+            && grown.explained.least().is_some_and(|(_, share)| share > 0.7);
         if connected
             && best
                 .as_ref()

@@ -98,11 +98,8 @@ pub(super) fn search(
 }
 
 fn same_direction(a: &PairGuess, b: &PairGuess) -> bool {
-    let turn = a
-        .second_from_first
-        .rotation
-        .angle_to(&b.second_from_first.rotation);
-    turn < 0.05
+    let turn = a.second_from_first.rotation.matrix() - b.second_from_first.rotation.matrix();
+    turn.norm() < 0.1
 }
 
 fn correspondences(first: &Path, second: &Path, times_s: &[f64], shift_s: f64) -> Vec<[Normalized; 2]> {
@@ -235,11 +232,7 @@ fn judged(first: &Path, second: &Path, (pose, shift_s): (&Pose, f64), points: us
     let (mut inliers, mut angles, mut cost) = (0, vec![], 0.0);
     for pair in &pairs {
         let d = sampson_px(&e, pair, focal).abs() / limit_px;
-        let rays = [
-            pose.rotation * Vector3::new(pair[0].x, pair[0].y, 1.0),
-            Vector3::new(pair[1].x, pair[1].y, 1.0),
-        ];
-        // Rays in the second camera's axes: x1 + d1·r1 meets d2·r2 in front of both.
+        let rays = rays_of(pose, pair);
         let front = meets_in_front(&rays, &pose.translation_m);
         cost += if front { d.powi(2).min(1.0) } else { 1.0 };
         if d < 1.0 && front {
@@ -258,6 +251,25 @@ fn judged(first: &Path, second: &Path, (pose, shift_s): (&Pose, f64), points: us
         parallax_deg: *angles.get(angles.len() / 2)?,
         common_s: common_s(first, second, shift_s),
     })
+}
+
+/// Epipolar distance of two directions, pixels; infinite where the rays meet behind a camera.
+pub(super) fn epipolar_miss(second_from_first: &Pose, pair: &[Normalized; 2], focal_px: [f64; 2]) -> f64 {
+    if !meets_in_front(
+        &rays_of(second_from_first, pair),
+        &second_from_first.translation_m,
+    ) {
+        return f64::INFINITY;
+    }
+    sampson_px(&essential_matrix(second_from_first), pair, focal_px).abs()
+}
+
+/// Both rays in the second camera's axes.
+fn rays_of(pose: &Pose, pair: &[Normalized; 2]) -> [Vector3<f64>; 2] {
+    [
+        pose.rotation * Vector3::new(pair[0].x, pair[0].y, 1.0),
+        Vector3::new(pair[1].x, pair[1].y, 1.0),
+    ]
 }
 
 /// d2·r2 = t + d1·r1 with both depths positive, in least squares.

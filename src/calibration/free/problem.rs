@@ -121,6 +121,12 @@ impl View {
             + camera.readout_s * self.row(sighting.pixel_px.y)
     }
 
+    /// Stamp at a true instant in the middle row: the inverse of `true_s`, to first order in the skew.
+    pub fn stamp_s(&self, camera: &CameraState, true_s: f64) -> f64 {
+        let stamped_s = true_s + camera.delay_s;
+        stamped_s + 1e-6 * camera.skew_ppm * (stamped_s - self.epoch_s)
+    }
+
     /// Predicts one sighting; `None` behind the camera.
     pub fn predict(&self, camera: &CameraState, spline: &Spline, sighting: &Sighting) -> Option<Prediction> {
         let basis = spline.basis(self.true_s(camera, sighting));

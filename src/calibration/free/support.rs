@@ -28,7 +28,10 @@ impl Support {
                 None => vec![],
             })
             .collect();
-        let shared = at_least_two(&cameras);
+        let mut shared = at_least_two(&cameras);
+        // A stretch too short for a piece of spline has no curve of its own.
+        let pieces = pieces(&shared);
+        shared.retain(|(begin, _)| inside(&pieces, *begin));
         Self { cameras, shared }
     }
 
@@ -42,21 +45,14 @@ impl Support {
         self.cameras.iter().filter(|c| inside(c, t_s)).count()
     }
 
-    /// Pieces for the spline: shared stretches, short breaks bridged, short ones left out, margins added.
+    /// Pieces for the spline, margins added.
     pub fn spans(&self) -> Vec<(f64, f64)> {
-        let mut spans: Vec<(f64, f64)> = vec![];
-        for &(begin, end) in &self.shared {
-            match spans.last_mut() {
-                Some(last) if begin - last.1 < BRIDGE_S => last.1 = end,
-                _ => spans.push((begin, end)),
-            }
-        }
-        spans.retain(|(begin, end)| end - begin > SHORTEST_S);
-        spans.iter().map(|(a, b)| (a - MARGIN_S, b + MARGIN_S)).collect()
+        let pieces = pieces(&self.shared);
+        pieces.iter().map(|(a, b)| (a - MARGIN_S, b + MARGIN_S)).collect()
     }
 
-    /// The views with only the sightings of calibrated cameras inside the spans.
-    pub fn restricted(&self, views: &[View], state: &State) -> Vec<View> {
+    /// The views with only the sightings of calibrated cameras inside the spans, at least `apart_s` apart.
+    pub fn restricted(&self, views: &[View], state: &State, apart_s: f64) -> Vec<View> {
         let spans = self.spans();
         views
             .iter()
@@ -64,10 +60,16 @@ impl Support {
             .map(|(view, camera)| View {
                 sightings: match camera {
                     Some(camera) => {
-                        let kept = view.sightings.iter();
-                        kept.filter(|s| inside(&spans, view.true_s(camera, s)))
-                            .copied()
-                            .collect()
+                        let mut last_s = f64::NEG_INFINITY;
+                        let kept = view.sightings.iter().filter(|s| {
+                            let keep =
+                                s.stamped_s - last_s >= apart_s && inside(&spans, view.true_s(camera, s));
+                            if keep {
+                                last_s = s.stamped_s;
+                            }
+                            keep
+                        });
+                        kept.copied().collect()
                     }
                     None => vec![],
                 },
@@ -93,6 +95,19 @@ fn stretches(times_s: impl Iterator<Item = f64>, gap_s: f64) -> Vec<(f64, f64)> 
         }
     }
     found
+}
+
+/// Shared stretches with short breaks bridged and short ones left out.
+fn pieces(shared: &[(f64, f64)]) -> Vec<(f64, f64)> {
+    let mut pieces: Vec<(f64, f64)> = vec![];
+    for &(begin, end) in shared {
+        match pieces.last_mut() {
+            Some(last) if begin - last.1 < BRIDGE_S => last.1 = end,
+            _ => pieces.push((begin, end)),
+        }
+    }
+    pieces.retain(|(begin, end)| end - begin > SHORTEST_S);
+    pieces
 }
 
 fn at_least_two(cameras: &[Vec<(f64, f64)>]) -> Vec<(f64, f64)> {
@@ -131,6 +146,10 @@ mod tests {
         assert_eq!(
             stretches([0.0, 0.2, 0.9, 1.0].into_iter(), 0.5),
             [(0.0, 0.2), (0.9, 1.0)]
+        );
+        assert_eq!(
+            pieces(&[(0.0, 0.4), (1.0, 4.0), (10.0, 10.5), (20.0, 22.0)]),
+            [(0.0, 4.0), (20.0, 22.0)]
         );
         assert!(inside(&cameras[0], 11.0) && !inside(&cameras[0], 5.0) && !inside(&cameras[0], -1.0));
     }
