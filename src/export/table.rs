@@ -67,12 +67,21 @@ pub fn cameras(calibration: &Calibration, rig: &Rig) -> String {
         let rate_hz = rig.camera(&camera.id).map(|setup| setup.frame_rate_hz);
         let frames = |seconds: f64| rate_hz.map_or(String::new(), |rate| format!("{:.4}", seconds * rate));
         let is_reference = camera.id == calibration.reference;
+        // A method without an uncertainty leaves 0: no number is better than that one.
+        let sigma_s = camera.capture_delay_sigma_s;
+        let known = |text: String| {
+            if is_reference || sigma_s > 0.0 {
+                text
+            } else {
+                "-".to_owned()
+            }
+        };
         vec![
             camera.id.to_string(),
             format!("{:.4}", 1e3 * camera.capture_delay_s),
-            format!("{:.4}", 1e3 * camera.capture_delay_sigma_s),
+            known(format!("{:.4}", 1e3 * sigma_s)),
             frames(camera.capture_delay_s),
-            frames(camera.capture_delay_sigma_s),
+            known(frames(sigma_s)),
             format!("{:.2}", camera.clock_skew_ppm),
             format!("{:.3}", camera.reprojection_rms_px),
             format!("{:.3}", camera.noise_sigma_px),
@@ -151,6 +160,14 @@ mod tests {
         for word in ["third", "3.2100", "0.0120", "0.5618", "0.0021"] {
             assert!(lines[2].contains(word), "{}", lines[2]);
         }
+    }
+
+    #[test]
+    fn a_delay_without_a_sigma_shows_none() {
+        let mut calibration = fixture::calibration();
+        calibration.cameras[1].capture_delay_sigma_s = 0.0;
+        let text = cameras(&calibration, &fixture::rig());
+        assert!(!text.lines().nth(2).unwrap().contains(" 0.0000"), "{text}");
     }
 
     #[test]

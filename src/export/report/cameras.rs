@@ -85,7 +85,13 @@ pub(super) fn delay_and_pose_table(calibration: &Calibration, rig: &Rig) -> Stri
 fn camera_row(calibration: &Calibration, rig: &Rig, camera: &CameraCalibration) -> Vec<String> {
     let is_reference = camera.id == calibration.reference;
     let with_sigma = |value: f64, sigma: f64, decimals: usize| {
-        format!("{} <i>± {}</i>", number(value, decimals), number(sigma, decimals))
+        // A method without an uncertainty leaves 0.
+        let sigma = if sigma > 0.0 {
+            number(sigma, decimals)
+        } else {
+            "–".to_owned()
+        };
+        format!("{} <i>± {sigma}</i>", number(value, decimals))
     };
     let delay = |unit: f64, decimals: usize| {
         if is_reference {

@@ -34,13 +34,19 @@ fn section(calibration: &Calibration, more_html: &str) -> String {
              home plate. Lengths are metres only when gravity or a measured distance fixes the scale."
         }
     };
+    let sigma = if calibration.covariance.is_empty() {
+        "is one standard deviation of the flight alone: <b>the calibration is taken as exact</b>, because it has \
+         no covariance"
+    } else {
+        "is one standard deviation and includes the uncertainty of the calibration"
+    };
     format!(
         "<section><h2>What the numbers mean</h2>\n<ul class=\"plain\"><li>{world}</li>{more_html}\
          <li><b>Delay τ</b>: true exposure midpoint = stamped midpoint − τ; 0 for the reference camera. \
          τ &gt; 0: the frame stamped t shows the ball where it was at t − τ.</li>\
          <li><b>Residual</b> = predicted − observed, in distorted pixels; the centre of the top-left pixel is (0, 0). \
          RMS is that of the residual’s length.</li>\
-         <li><b>±</b> is one standard deviation and includes the uncertainty of the calibration; ellipses hold 95 %.</li>\
+         <li><b>±</b> {sigma}; ellipses hold 95 %.</li>\
          </ul></section>\n"
     )
 }

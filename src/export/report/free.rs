@@ -125,6 +125,7 @@ fn key_figures(input: &FreeReportInput<'_>, pieces: usize) -> String {
         .filter(|c| c.id != input.calibration.reference);
     let delay_us = delays
         .map(|c| 1e6 * c.capture_delay_sigma_s)
+        .filter(|sigma| *sigma > 0.0)
         .fold(f64::NAN, f64::max);
     let rms = median(input.calibration.cameras.iter().map(|c| c.reprojection_rms_px));
     let or_dash = |value: Option<f64>, decimals| value.map_or("–".to_owned(), |v| number(v, decimals));

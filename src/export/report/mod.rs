@@ -170,7 +170,16 @@ fn key_figures(input: &ReportInput<'_>) -> String {
         .filter(|c| c.id != input.calibration.reference);
     let worst_delay_us = delays
         .map(|c| 1e6 * c.capture_delay_sigma_s)
+        .filter(|sigma| *sigma > 0.0)
         .fold(f64::NAN, f64::max);
+    let (location, speed) = if input.calibration.covariance.is_empty() {
+        (
+            "plate location x, z, median 1σ, calibration taken as exact",
+            "release speed, median 1σ, calibration taken as exact",
+        )
+    } else {
+        ("plate location x, z, median 1σ", "release speed, median 1σ")
+    };
     let tiles = [
         (
             format!("{good} <small>of {}</small>", input.pitches.len()),
@@ -182,14 +191,14 @@ fn key_figures(input: &ReportInput<'_>) -> String {
                 middle(|p| 1e3 * p.sigma.plate_mid_m[0], 1),
                 middle(|p| 1e3 * p.sigma.plate_mid_m[1], 1)
             ),
-            "plate location x, z, median 1σ",
+            location,
         ),
         (
             format!(
                 "± {} <small>mph</small>",
                 middle(|p| p.sigma.release_speed_mps / MPH_MPS, 2)
             ),
-            "release speed, median 1σ",
+            speed,
         ),
         (
             format!("± {} <small>µs</small>", number(worst_delay_us, 1)),

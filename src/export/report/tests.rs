@@ -124,6 +124,23 @@ fn the_search_is_drawn_where_there_was_one() {
 }
 
 #[test]
+fn a_calibration_without_a_covariance_says_so() {
+    let mut calibration = fixture::calibration();
+    with_page(&calibration, &fixture::pitches(), |page| {
+        assert!(
+            page.contains("includes the uncertainty of the calibration") && !page.contains("taken as exact")
+        );
+    });
+    calibration.covariance.clear();
+    calibration.parameters.clear();
+    calibration.cameras[1].capture_delay_sigma_s = 0.0;
+    with_page(&calibration, &fixture::pitches(), |page| {
+        assert!(page.contains("taken as exact") && page.contains("3.2100 <i>± –</i>"));
+        assert!(page.contains("± – <small>µs</small>"));
+    });
+}
+
+#[test]
 fn an_empty_session_and_a_world_without_a_plate_have_a_page_too() {
     let mut calibration = fixture::calibration();
     with_page(&calibration, &[], |page| {
