@@ -157,7 +157,9 @@ fn rooms_only_name_the_rooms_below_them() {
             .map(|c| c.as_os_str().to_string_lossy().into_owned());
         let room = parts.next().unwrap().trim_end_matches(".rs").to_owned();
         // Test modules may use any room.
-        let is_test = inside.file_stem().is_some_and(|s| s == "tests" || s.to_string_lossy().ends_with("_tests"));
+        let is_test = inside
+            .file_stem()
+            .is_some_and(|s| s == "tests" || s.to_string_lossy().ends_with("_tests"));
         if room == "lib" || room == "main" || is_test {
             continue;
         }
