@@ -15,14 +15,9 @@ pub enum Isa {
 }
 
 impl Isa {
-    /// The one to use: 32-byte vectors where there are any. The kernels are bound by memory, where 64-byte ones
-    /// measured no faster and up to 10 % slower.
+    /// The widest this machine runs.
     pub fn detect() -> Self {
-        if Self::available().contains(&Self::Avx2) {
-            Self::Avx2
-        } else {
-            Self::Portable
-        }
+        Self::available().last().copied().unwrap_or(Self::Portable)
     }
 
     /// All this machine runs, narrowest first.
@@ -93,16 +88,16 @@ impl Kernels {
 }
 
 dispatched!(
-    /// See [`kernel::changed_tiles`].
-    changed_tiles(current: &[u8], previous: &[u8], width: usize, thresholds: &[u8], tile_max: &mut [u8]) -> bool
+    /// See [`kernel::band_change`].
+    band_change(current: &[u8], previous: &[u8], column_max: &mut [u8])
 );
 dispatched!(
     /// See [`kernel::clipped_change_sum`].
     clipped_change_sum(current: &[u8], previous: &[u8], clip: u8) -> u32
 );
 dispatched!(
-    /// See [`kernel::read_both`].
-    read_both(one: &[u8], other: &[u8]) -> u8
+    /// See [`kernel::largest`].
+    largest(bytes: &[u8]) -> u8
 );
 dispatched!(
     /// See [`kernel::change_mask`].

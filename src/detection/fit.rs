@@ -11,21 +11,10 @@ use super::disc::{
 };
 use super::patches::Patch;
 
-/// Terms of the light that drift along the track: the lit sphere's. The view turns by tens of degrees while the
-/// ball passes, and the light with it: held still it drew the centre by 0.3 px from end to end.
-const DRIFTS: usize = 3;
-/// Shared parameters: radius in the middle of the track, its growth, streak scale, light, drift of the light.
-pub const SHARED: usize = 3 + TERMS + DRIFTS;
-/// Index of the first drift.
-const DRIFT: usize = 3 + TERMS;
-/// First term of the light that drifts.
-const DRIFTING: usize = TERMS - DRIFTS;
-/// Prior σ of the drift from begin to end.
-const DRIFT_SIGMA: f64 = 0.7;
+/// Shared parameters: radius in the middle of the track, its growth, streak scale, light.
+pub const SHARED: usize = 3 + TERMS;
 /// Most Gauss–Newton steps of a centre.
 const OWN_STEPS_MAX: usize = 10;
-/// ... while the shared parameters still move.
-const OWN_STEPS_POOLED: usize = 3;
 /// Converged when the centre moves less than this, pixels.
 const STEP_MIN_PX: f64 = 0.002;
 /// The picture is never better than this share of the ball's contrast (optics, seams, steps of the light).
@@ -33,10 +22,10 @@ const MODEL_ERROR_SHARE: f64 = 0.02;
 /// Residuals beyond this many σ count linearly.
 const HUBER_SIGMAS: f64 = 2.5;
 /// Prior σ of the light's terms relative to the level: polynomial, then sphere.
-const LIGHT_SIGMA: [f64; TERMS] = [0.08, 0.08, 0.05, 0.05, 0.05, 2.0, 2.0, 2.0];
+const LIGHT_SIGMA: [f64; TERMS] = [0.2, 0.2, 0.1, 0.1, 0.1, 2.0, 2.0, 2.0];
 /// The polynomial's prior σ is this many times smaller until the sphere has found its light: else the
 /// polynomial takes the light and the sphere stays dark.
-const POLYNOMIAL_HELD: f64 = 4.0;
+const POLYNOMIAL_HELD: f64 = 8.0;
 /// Prior σ of the radius' growth over the track.
 const GROWTH_SIGMA: f64 = 0.5;
 /// Prior σ of ln(radius).
@@ -71,9 +60,6 @@ impl Shared {
             let held = if i < TERMS - 3 { POLYNOMIAL_HELD } else { 1.0 };
             *weight = (held / sigma).powi(2);
         }
-        for weight in weights.iter_mut().skip(DRIFT) {
-            *weight = DRIFT_SIGMA.powi(-2);
-        }
         let prior = values;
         // Lit from above and a little from the camera's side, as by day and under lamps.
         values[3 + 6] = -0.8;
@@ -87,7 +73,7 @@ impl Shared {
 
     /// Lets the polynomial of the light go.
     pub fn release_light(&mut self) {
-        for (weight, sigma) in self.weights.iter_mut().skip(3).take(TERMS).zip(LIGHT_SIGMA) {
+        for (weight, sigma) in self.weights.iter_mut().skip(3).zip(LIGHT_SIGMA) {
             *weight = sigma.powi(-2);
         }
     }
@@ -104,9 +90,6 @@ impl Shared {
         parameters[STREAK_SCALE] = self.values[2];
         for i in 0..TERMS {
             parameters[LIGHT + i] = self.values[3 + i];
-        }
-        for i in 0..DRIFTS {
-            parameters[LIGHT + DRIFTING + i] += place * self.values[DRIFT + i];
         }
         parameters
     }
@@ -177,7 +160,7 @@ impl Picture {
     /// Selects the pixels and guesses the level; `None` where there is too little to fit.
     pub fn new(patch: &Patch<'_>, start: &PictureStart, edge: &Edge) -> Option<Self> {
         let (observations, contrast) = observe(patch, start, edge);
-        if observations.len() < 12 || contrast < 1.0 {
+        if observations.len() < 12 || contrast.abs() < 1.0 {
             return None;
         }
         let near = observations
@@ -227,10 +210,10 @@ impl Picture {
     }
 
     /// Finds centre and level for given shared parameters; gives the final linearisation.
-    fn solve_own(&mut self, shared: &Shared, edge: &Edge, steps_max: usize) -> Option<Normal> {
+    fn solve_own(&mut self, shared: &Shared, edge: &Edge) -> Option<Normal> {
         let mut state = self.linearise(&self.own, shared, edge);
         let mut damping = 1e-3;
-        for _ in 0..steps_max {
+        for _ in 0..OWN_STEPS_MAX {
             let mut block: Matrix3<f64> = state.information.fixed_view::<OWN, OWN>(0, 0).into_owned();
             for i in 0..OWN {
                 block[(i, i)] *= 1.0 + damping;
@@ -268,9 +251,6 @@ impl Picture {
         for i in 1..PARAMETERS - OWN {
             chain[(i, i + 1)] = 1.0;
         }
-        for i in 0..DRIFTS {
-            chain[(LIGHT - OWN + DRIFTING + i, DRIFT + i)] = self.place;
-        }
         chain
     }
 }
@@ -291,7 +271,7 @@ fn pool(pictures: &mut [Picture], shared: &Shared, edge: &Edge) -> Pooled {
     };
     for picture in pictures {
         let before = picture.own;
-        let Some(normal) = picture.solve_own(shared, edge, OWN_STEPS_POOLED) else {
+        let Some(normal) = picture.solve_own(shared, edge) else {
             picture.own = before;
             continue;
         };
@@ -352,7 +332,7 @@ pub fn fit_shared(
             *shared = trial;
             state = next;
             damping = (damping * 0.2).max(1e-9);
-            if gain < 3e-4 * state.cost.max(1.0) {
+            if gain < 1e-4 * state.cost.max(1.0) {
                 break;
             }
         } else {
@@ -375,7 +355,7 @@ pub fn fit_centre(
     covariance: &SharedMatrix,
     edge: &Edge,
 ) -> Option<FittedCentre> {
-    let normal = picture.solve_own(shared, edge, OWN_STEPS_MAX)?;
+    let normal = picture.solve_own(shared, edge)?;
     let own: Matrix3<f64> = normal.information.fixed_view::<OWN, OWN>(0, 0).into_owned();
     let inverse = own.cholesky()?.inverse();
     let chain = picture.chain(shared);
@@ -388,8 +368,7 @@ pub fn fit_centre(
     })
 }
 
-/// The pixels that the ball may reach with what is behind them, and the rms contrast near the centre (a ball
-/// may be brighter than the background on one side and darker on the other).
+/// The pixels that the ball may reach with what is behind them, and the mean contrast near the centre.
 fn observe(patch: &Patch<'_>, start: &PictureStart, edge: &Edge) -> (Vec<Observation>, f64) {
     let sigma = patch.difference_sigma.max(0.6);
     let noise = 0.5 * sigma * sigma;
@@ -422,7 +401,7 @@ fn observe(patch: &Patch<'_>, start: &PictureStart, edge: &Edge) -> (Vec<Observa
         };
         let value = f64::from(*current);
         if off.norm() < start.radius_px + 0.5 {
-            contrast = (contrast.0 + (value - background).powi(2), contrast.1 + 1.0);
+            contrast = (contrast.0 + value - background, contrast.1 + 1.0);
         }
         let saturated = if *current == u8::MAX { 400.0 } else { 0.0 };
         observations.push(Observation {
@@ -432,7 +411,7 @@ fn observe(patch: &Patch<'_>, start: &PictureStart, edge: &Edge) -> (Vec<Observa
             variance: 1.5 * noise + unsure * unsure + saturated,
         });
     }
-    (observations, (contrast.0 / f64::max(contrast.1, 1.0)).sqrt())
+    (observations, contrast.0 / f64::max(contrast.1, 1.0))
 }
 
 /// Sum of the change of the nine pixels around the start: positive for a ball brighter than the background.

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, DVector, Matrix3};
 
 use super::grow::{AGREES_PX, Grown, Phase, Session};
 use super::problem::{CameraState, Distance, Problem, State, View};
-use super::solver::{Held, fit_spline, minimise, redundancy, sandwich, update_scales};
+use super::solver::{Held, fit_spline, minimise, redundancy, update_scales};
 use super::spline::{ORDER, Spline};
 use super::support::Support;
 use crate::calibration::CalibrationError;
@@ -20,7 +20,7 @@ pub(super) struct Solution {
     pub columns: Vec<super::problem::Column>,
     pub covariance: DMatrix<f64>,
     pub condition: f64,
-    /// Factor by which lasting errors and the robust weights widen the covariance.
+    /// Factor by which lasting errors widen the covariance.
     pub redundancy: f64,
     held: Held,
     /// A⁻¹B, row by row.
@@ -47,21 +47,16 @@ pub(super) fn finish(
     let scale = regauge(session, &mut state, (reference, distances))
         .ok_or_else(|| stuck("the reference camera is not among the calibrated ones"))?;
     let mut precision = grown.jerk_precision / (scale * scale);
-    let mut knot_s = session.options.knot_s.unwrap_or(USUAL_KNOT_S);
-    loop {
+    let knots = session.options.knot_s.map_or_else(|| vec![0.1], |k| vec![k]);
+    let mut last = None;
+    for knot_s in knots {
         let (solution, jerk) = refined(session, state, (reference, distances), (knot_s, precision))?;
-        // A livelier motion than these knots can follow asks for closer ones.
-        let wanted_s = solution.smoothing_s(jerk).max(CLOSEST_KNOT_S);
-        if session.options.knot_s.is_some() || wanted_s > 0.7 * knot_s {
-            return Ok(solution);
-        }
-        (knot_s, precision, state) = (0.8 * wanted_s, jerk, solution.state);
+        precision = jerk;
+        state = solution.state.clone();
+        last = Some(solution);
     }
+    last.ok_or_else(|| stuck("no knots"))
 }
-
-/// Knot spacing of a motion like a drone's, and the closest tried, seconds.
-const USUAL_KNOT_S: f64 = 0.1;
-const CLOSEST_KNOT_S: f64 = 0.015;
 
 /// Moves world and clock to the reference camera's and the scale to the distances'; returns the factor.
 fn regauge(
@@ -152,9 +147,9 @@ fn refined(
     let factor = normal
         .factor(0.0)
         .ok_or_else(|| stuck("the normal matrix is singular"))?;
-    let redundancy = problem.redundancy * sandwich(&problem, &state);
     let Problem {
         columns,
+        redundancy,
         jerk_precision,
         ..
     } = problem;
@@ -176,26 +171,6 @@ fn refined(
 }
 
 impl Solution {
-    /// Time over which noise and jerk prior balance: (α/I)^⅙ with I the information about one coordinate per
-    /// second; the curve that the data support has no detail finer than that.
-    fn smoothing_s(&self, jerk_precision: f64) -> f64 {
-        let mut information = 0.0;
-        for (view, camera) in self.views.iter().zip(&self.state.cameras) {
-            let Some(camera) = camera else { continue };
-            // Every tenth sighting is enough for a sixth root.
-            for s in view.sightings.iter().step_by(10) {
-                if let Some(p) = view.predict(camera, &self.state.spline, s) {
-                    let sigma = s.sigma_px * camera.noise;
-                    information += 10.0 / 3.0 * p.by_world_point.norm_squared() / (sigma * sigma);
-                }
-            }
-        }
-        let pieces = &self.state.spline.pieces;
-        let duration_s: f64 =
-            pieces.iter().map(|p| p.segments as f64).sum::<f64>() * self.state.spline.knot_s;
-        (jerk_precision * duration_s / information.max(f64::MIN_POSITIVE)).powf(1.0 / 6.0)
-    }
-
     /// Covariance of the position at an instant, cameras' uncertainty included, units².
     pub fn position_covariance(&self, t_s: f64) -> Matrix3<f64> {
         let basis = self.state.spline.basis(t_s);

@@ -8,9 +8,8 @@ use crate::geometry::{Normalized, Pixel};
 
 /// Longest gap that is bridged, seconds.
 pub(super) const BRIDGE_S: f64 = 0.3;
-/// Half the window of the local parabola: this many sightings, within these bounds in seconds.
-const WINDOW_SIGHTINGS: f64 = 4.0;
-const WINDOW_S: (f64, f64) = (0.06, 0.16);
+/// Half the window of the local parabola, seconds.
+const WINDOW_S: f64 = 0.16;
 
 #[derive(Debug, Clone, Copy)]
 struct Knot {
@@ -42,19 +41,17 @@ impl Path {
                 Some((s.stamped_s + offset_s, Vector2::new(n.x, n.y)))
             })
             .collect();
-        let window_s = (WINDOW_SIGHTINGS * usual_step_s(&points)).clamp(WINDOW_S.0, WINDOW_S.1);
         let mut knots = Vec::with_capacity(points.len());
         let mut distances_px = vec![];
         let (mut low, mut high) = (0, 0);
         for &(time_s, seen) in &points {
-            while points[low].0 < time_s - window_s {
+            while points[low].0 < time_s - WINDOW_S {
                 low += 1;
             }
-            while high < points.len() && points[high].0 <= time_s + window_s {
+            while high < points.len() && points[high].0 <= time_s + WINDOW_S {
                 high += 1;
             }
-            let Some((direction, rate, scale)) = parabola(&points[low..high], (time_s, window_s), focal_px)
-            else {
+            let Some((direction, rate, scale)) = parabola(&points[low..high], time_s, focal_px) else {
                 continue;
             };
             distances_px.push(focal_px * (seen - direction).norm());
@@ -126,17 +123,10 @@ impl Path {
     }
 }
 
-/// Median step between sightings, seconds.
-fn usual_step_s(points: &[(f64, Vector2<f64>)]) -> f64 {
-    let mut steps: Vec<f64> = points.windows(2).map(|w| w[1].0 - w[0].0).collect();
-    steps.sort_by(f64::total_cmp);
-    steps.get(steps.len() / 2).copied().unwrap_or(0.0)
-}
-
 /// Value, rate and scatter at `time_s` of a robust parabola; a line for three points, nothing for fewer.
 fn parabola(
     points: &[(f64, Vector2<f64>)],
-    (time_s, window_s): (f64, f64),
+    time_s: f64,
     focal_px: f64,
 ) -> Option<(Vector2<f64>, Vector2<f64>, f64)> {
     if points.len() < 3 {
@@ -150,7 +140,7 @@ fn parabola(
         let mut normal = Matrix3::from_diagonal(&Vector3::new(1e-9, 1e-9, bend));
         let (mut x, mut y) = (Vector3::zeros(), Vector3::zeros());
         for (t, p) in points {
-            let u = (t - time_s) / window_s;
+            let u = (t - time_s) / WINDOW_S;
             let row = Vector3::new(1.0, u, u * u);
             let miss = (p - Vector2::new(a.dot(&row), b.dot(&row))).norm();
             let weight = if round == 0 {
@@ -167,7 +157,7 @@ fn parabola(
         let mut misses: Vec<f64> = points
             .iter()
             .map(|(t, p)| {
-                let u = (t - time_s) / window_s;
+                let u = (t - time_s) / WINDOW_S;
                 let row = Vector3::new(1.0, u, u * u);
                 (p - Vector2::new(a.dot(&row), b.dot(&row))).norm()
             })
@@ -177,7 +167,7 @@ fn parabola(
     }
     Some((
         Vector2::new(a[0], b[0]),
-        Vector2::new(a[1], b[1]) / window_s,
+        Vector2::new(a[1], b[1]) / WINDOW_S,
         scale,
     ))
 }

@@ -121,32 +121,6 @@ pub(super) fn redundancy(problem: &Problem, state: &State) -> f64 {
     }
 }
 
-/// Variance of the robust estimate over what the reweighted normal matrix claims for independent errors:
-/// E[ψ²]·E[w]/E[∂ψ]² over the residuals (Huber’s sandwich, ψ = w·r); 1.55 for Gaussian errors at ν = 4.
-pub(super) fn sandwich(problem: &Problem, state: &State) -> f64 {
-    let (mut score, mut weights, mut slope, mut count) = (0.0, 0.0, 0.0, 0.0);
-    for (view, camera) in problem.views.iter().zip(&state.cameras) {
-        let Some(camera) = camera else { continue };
-        for s in &view.sightings {
-            let Some(p) = view.predict(camera, &state.spline, s) else {
-                continue;
-            };
-            let squared = p.residual_px.norm_squared() / (s.sigma_px * camera.noise).powi(2);
-            let weight = problem.robust(squared).1;
-            score += 0.5 * weight * weight * squared;
-            weights += weight;
-            // Half the divergence of w(|r|²)·r in the plane.
-            slope += weight - weight * squared / (problem.tail + squared);
-            count += 1.0;
-        }
-    }
-    if slope > 0.1 * weights {
-        (score / count) * (weights / count) / (slope / count).powi(2)
-    } else {
-        1.0
-    }
-}
-
 fn add_block(
     ratio: &mut f64,
     blocks: &mut f64,
