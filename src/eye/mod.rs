@@ -2,7 +2,9 @@
 
 use crate::detection::{Answers, DetectionError, Detector, DetectorConfig, DetectorCounters, ExpectedBall};
 use crate::scene::{CameraId, Detection, Frame, FrameStamp, Track};
-use crate::tracking::{TrackKind, TrackShape, TrackedBall, Tracker, TrackerConfig, TrackerCounters, polish};
+use crate::tracking::{
+    TrackKind, TrackShape, TrackedBall, Tracker, TrackerConfig, TrackerCounters, polish, vote,
+};
 
 /// Departure of refined centres from a smooth path beyond their covariance, pixels.
 const REFINED_FLOOR_PX: f64 = 0.2;
@@ -22,6 +24,7 @@ pub struct CameraEye {
     tracker: Tracker,
     tracker_config: TrackerConfig,
     balls: Vec<TrackedBall>,
+    shapes: Vec<TrackShape>,
 }
 
 /// The tracker as the detector sees it: it takes candidates and says where to look for weak ones.
@@ -50,6 +53,7 @@ impl CameraEye {
             tracker: Tracker::new(camera, config.tracker.clone()),
             tracker_config: config.tracker,
             balls: Vec::new(),
+            shapes: Vec::new(),
         }
     }
 
@@ -110,12 +114,23 @@ impl CameraEye {
         std::mem::take(&mut self.balls)
     }
 
-    /// The pitches since the last call.
+    /// The pitches since the last call. Which way this camera's pitches go is voted by all balls seen so far, so
+    /// asking once at the end is surest.
     pub fn drain_pitches(&mut self) -> Vec<Track> {
-        self.drain_balls()
+        let mut balls = self.drain_balls();
+        balls.retain(|ball| ball.kind == TrackKind::Pitch);
+        self.shapes.extend(balls.iter().map(|ball| ball.shape));
+        let votes = vote(&self.shapes);
+        let fresh = votes.len() - balls.len();
+        if fresh > SHAPES_KEPT {
+            self.shapes.drain(..fresh - SHAPES_KEPT);
+        }
+        let fresh_votes = votes.into_iter().skip(fresh);
+        balls
             .into_iter()
-            .filter(|ball| ball.kind == TrackKind::Pitch)
-            .map(|ball| ball.track)
+            .zip(fresh_votes)
+            .filter(|(_, pitch)| *pitch)
+            .map(|(ball, _)| ball.track)
             .collect()
     }
 
@@ -130,6 +145,8 @@ impl CameraEye {
     }
 }
 
+/// Earlier balls that vote on which way pitches go.
+const SHAPES_KEPT: usize = 60;
 /// Points over which a step is averaged.
 const STEP_POINTS: usize = 6;
 
