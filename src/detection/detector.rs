@@ -79,6 +79,7 @@ pub struct Detector {
     next_lag: usize,
     next_answer: usize,
     column_max: Vec<u8>,
+    tile_max: Vec<u8>,
     tiles: TileMap,
     blobs: BlobFinder,
     found: Vec<(Detection, Blob)>,
@@ -109,6 +110,7 @@ impl Detector {
             next_lag: config.lag_frames.max(1),
             next_answer: 0,
             column_max: vec![0; width],
+            tile_max: vec![0; width.div_ceil(TILE_WIDTH_PX)],
             tiles: TileMap::new(width, height),
             blobs: BlobFinder::new(width, Kernels::new(isa)),
             found: Vec::with_capacity(1024),
@@ -222,8 +224,14 @@ impl Detector {
             .zip(previous.bytes().chunks(band_bytes));
         for (band, (current, before)) in bands.enumerate() {
             self.kernels.band_change(current, before, &mut self.column_max);
-            for (column, most) in self.column_max.chunks(TILE_WIDTH_PX).enumerate() {
-                if self.kernels.largest(most) > self.noise.tile_threshold(band, column) {
+            self.kernels.tile_largest(&self.column_max, &mut self.tile_max);
+            for (column, (most, threshold)) in self
+                .tile_max
+                .iter()
+                .zip(self.noise.band_thresholds(band))
+                .enumerate()
+            {
+                if *most > *threshold {
                     changed.set(band, column);
                 }
             }

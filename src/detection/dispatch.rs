@@ -96,8 +96,12 @@ dispatched!(
     clipped_change_sum(current: &[u8], previous: &[u8], clip: u8) -> u32
 );
 dispatched!(
-    /// See [`kernel::largest`].
-    largest(bytes: &[u8]) -> u8
+    /// See [`kernel::tile_largest`].
+    tile_largest(column_max: &[u8], tile_max: &mut [u8])
+);
+dispatched!(
+    /// See [`kernel::read_both`].
+    read_both(one: &[u8], other: &[u8]) -> u8
 );
 dispatched!(
     /// See [`kernel::change_mask`].

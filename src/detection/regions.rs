@@ -20,8 +20,10 @@ const SIGMA_START: f32 = 3.0;
 pub struct RegionNoise {
     columns: usize,
     sigma: Vec<f32>,
+    /// Per tile, 255 where it is not searched.
     threshold: Vec<u8>,
     searched: Vec<bool>,
+    bands: usize,
     tile_columns: usize,
     threshold_sigmas: f32,
     threshold_min: f32,
@@ -37,7 +39,8 @@ impl RegionNoise {
         let mut noise = Self {
             columns,
             sigma: vec![SIGMA_START; count],
-            threshold: vec![0; count],
+            threshold: vec![u8::MAX; tile_columns * bands],
+            bands,
             searched: (0..tile_columns * bands)
                 .map(|tile| tile_searched(config, tile % tile_columns, tile / tile_columns))
                 .collect(),
@@ -52,9 +55,20 @@ impl RegionNoise {
     }
 
     fn set_threshold(&mut self, index: usize) {
-        if let (Some(sigma), Some(threshold)) = (self.sigma.get(index), self.threshold.get_mut(index)) {
-            let levels = (self.threshold_sigmas * sigma + 1.0).max(self.threshold_min);
-            *threshold = levels.min(254.0) as u8;
+        let Some(sigma) = self.sigma.get(index) else {
+            return;
+        };
+        let levels = (self.threshold_sigmas * sigma + 1.0)
+            .max(self.threshold_min)
+            .min(254.0) as u8;
+        let (row, column) = (index / self.columns, index % self.columns);
+        for band in row * REGION_BANDS..((row + 1) * REGION_BANDS).min(self.bands) {
+            for tile in column * REGION_TILES..((column + 1) * REGION_TILES).min(self.tile_columns) {
+                let at = band * self.tile_columns + tile;
+                if let (Some(true), Some(threshold)) = (self.searched.get(at), self.threshold.get_mut(at)) {
+                    *threshold = levels;
+                }
+            }
         }
     }
 
@@ -64,14 +78,18 @@ impl RegionNoise {
 
     /// A tile is hit above this many levels; 255 (never) where the tile is not searched.
     pub fn tile_threshold(&self, band: usize, tile_column: usize) -> u8 {
-        match self.searched.get(band * self.tile_columns + tile_column) {
-            Some(true) => self
-                .threshold
-                .get(self.index(band, tile_column))
-                .copied()
-                .unwrap_or(u8::MAX),
-            _ => u8::MAX,
-        }
+        self.band_thresholds(band)
+            .get(tile_column)
+            .copied()
+            .unwrap_or(u8::MAX)
+    }
+
+    /// The thresholds of a row of tiles.
+    pub fn band_thresholds(&self, band: usize) -> &[u8] {
+        let begin = band * self.tile_columns;
+        self.threshold
+            .get(begin..begin + self.tile_columns)
+            .unwrap_or(&[])
     }
 
     /// Standard deviation of a frame difference here, levels.
