@@ -1,7 +1,7 @@
 //! One camera's detector: takes frames in time order, answers each a few frames later.
 
 use super::blobs::{Blob, BlobFinder, Images};
-use super::centroid::{Moments, moments, strongest_near, window_moments};
+use super::centroid::{Moments, moments, peak_near, strongest_near, window_moments};
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
 use super::error::DetectionError;
@@ -14,6 +14,8 @@ use super::tiles::TileMap;
 use crate::geometry::Pixel;
 use crate::scene::{Detection, Frame, FrameStamp, Track};
 
+/// One row of every so many bands tells the noise, others in every frame.
+const LEARN_EVERY_BANDS: usize = 16;
 /// A blob of fewer pixels is noise.
 const AREA_MIN_PX: usize = 4;
 
@@ -22,6 +24,8 @@ const BLOB_SIDE_MAX_PX: usize = 48;
 /// Places looked at in such a blob, and the distance between them.
 const PLACES_IN_BLOB: usize = 6;
 const PLACE_STEP_PX: usize = 16;
+/// Large blobs looked into in one frame.
+const LARGE_BLOBS_MAX: usize = 8;
 /// Pixels around a small blob that are looked at too.
 const WINDOW_MARGIN_PX: f64 = 3.5;
 /// An expected ball is believed from this many σ of a pixel's difference, as the mean over 3×3 pixels.
@@ -78,7 +82,6 @@ pub struct Detector {
     lag: usize,
     next_lag: usize,
     next_answer: usize,
-    column_max: Vec<u8>,
     tile_max: Vec<u8>,
     tiles: TileMap,
     blobs: BlobFinder,
@@ -91,7 +94,7 @@ pub struct Detector {
 }
 
 impl Detector {
-    /// A detector for frames of this size, on the widest instruction set there is.
+    /// A detector for frames of this size, on the instruction set that suits the machine.
     pub fn new(config: DetectorConfig, width_px: u32, height_px: u32) -> Self {
         Self::with_isa(config, width_px, height_px, Isa::detect())
     }
@@ -109,7 +112,6 @@ impl Detector {
             lag: config.lag_frames.max(1),
             next_lag: config.lag_frames.max(1),
             next_answer: 0,
-            column_max: vec![0; width],
             tile_max: vec![0; width.div_ceil(TILE_WIDTH_PX)],
             tiles: TileMap::new(width, height),
             blobs: BlobFinder::new(width, Kernels::new(isa)),
@@ -223,8 +225,9 @@ impl Detector {
             .chunks(band_bytes)
             .zip(previous.bytes().chunks(band_bytes));
         for (band, (current, before)) in bands.enumerate() {
-            self.kernels.band_change(current, before, &mut self.column_max);
-            self.kernels.tile_largest(&self.column_max, &mut self.tile_max);
+            let thresholds = self.noise.band_thresholds(band);
+            self.kernels
+                .changed_tiles(current, before, self.width_px, thresholds, &mut self.tile_max);
             for (column, (most, threshold)) in self
                 .tile_max
                 .iter()
@@ -235,7 +238,7 @@ impl Detector {
                     changed.set(band, column);
                 }
             }
-            if (band + self.counters.frames as usize).is_multiple_of(4) {
+            if (band + self.counters.frames as usize).is_multiple_of(LEARN_EVERY_BANDS) {
                 let mut rows = current.chunks(self.width_px).zip(before.chunks(self.width_px));
                 if let Some((c, p)) = rows.next_back() {
                     for (region, (c, p)) in c.chunks(region_width).zip(p.chunks(region_width)).enumerate() {
@@ -278,15 +281,24 @@ impl Detector {
         };
         self.blobs.find(&images, &self.tiles, &self.noise);
         self.counters.overflows += u64::from(self.blobs.overflowed);
-        for blob in &self.blobs.blobs {
-            let clear =
-                f64::from(blob.peak) > self.config.threshold_sigmas * f64::from(blob.difference_sigma);
-            if !clear || blob.area_px < AREA_MIN_PX {
-                continue;
-            }
+        let sigmas = self.config.threshold_sigmas;
+        self.blobs.blobs.retain(|blob| {
+            f64::from(blob.peak) > sigmas * f64::from(blob.difference_sigma) && blob.area_px >= AREA_MIN_PX
+        });
+        // The moments are dear: only the strongest blobs get them.
+        self.blobs
+            .blobs
+            .sort_unstable_by(|a, b| b.significance().total_cmp(&a.significance()));
+        let most = self.config.candidates_max;
+        self.counters.candidates_dropped += self.blobs.blobs.len().saturating_sub(most) as u64;
+        let mut large = 0;
+        for blob in self.blobs.blobs.iter().take(most) {
             let side = (blob.right - blob.left).max(blob.bottom - blob.top);
             if side > BLOB_SIDE_MAX_PX {
-                look_into(&images, blob, &self.config, stamp, &mut self.found);
+                large += 1;
+                if large <= LARGE_BLOBS_MAX {
+                    look_into(&images, blob, &self.config, stamp, &mut self.found);
+                }
             } else if let Some(found) =
                 small_ball(&images, blob, side).and_then(|m| candidate(&self.config, stamp, &m))
             {
@@ -360,7 +372,7 @@ fn look_into(
     for y in (blob.top..=blob.bottom).step_by(PLACE_STEP_PX) {
         for x in (blob.left..=blob.right).step_by(PLACE_STEP_PX) {
             let (cx, cy) = ((x + half) as f64, (y + half) as f64);
-            places.extend(strongest_near(images, cx, cy, half as f64));
+            places.extend(peak_near(images, cx as usize, cy as usize, half));
         }
     }
     places.sort_by(|a, b| b.1.total_cmp(&a.1));

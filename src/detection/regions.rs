@@ -20,6 +20,8 @@ const SIGMA_START: f32 = 3.0;
 pub struct RegionNoise {
     columns: usize,
     sigma: Vec<f32>,
+    /// Threshold per region, as last written to its tiles.
+    levels: Vec<u8>,
     /// Per tile, 255 where it is not searched.
     threshold: Vec<u8>,
     searched: Vec<bool>,
@@ -39,6 +41,7 @@ impl RegionNoise {
         let mut noise = Self {
             columns,
             sigma: vec![SIGMA_START; count],
+            levels: vec![0; count],
             threshold: vec![u8::MAX; tile_columns * bands],
             bands,
             searched: (0..tile_columns * bands)
@@ -61,6 +64,12 @@ impl RegionNoise {
         let levels = (self.threshold_sigmas * sigma + 1.0)
             .max(self.threshold_min)
             .min(254.0) as u8;
+        if self.levels.get(index) == Some(&levels) {
+            return;
+        }
+        if let Some(known) = self.levels.get_mut(index) {
+            *known = levels;
+        }
         let (row, column) = (index / self.columns, index % self.columns);
         for band in row * REGION_BANDS..((row + 1) * REGION_BANDS).min(self.bands) {
             for tile in column * REGION_TILES..((column + 1) * REGION_TILES).min(self.tile_columns) {
@@ -113,7 +122,7 @@ impl RegionNoise {
         let index = (band / REGION_BANDS) * self.columns + region_column;
         if let Some(sigma) = self.sigma.get_mut(index) {
             let measured = (SIGMA_OVER_MEAN * mean_change).max(0.5);
-            // Learned twice every eighth frame: a rise is there within 0.2 s, a fall within a second.
+            // Learned every second frame: a rise is there within 0.1 s, a fall within a second.
             let share = if measured > *sigma { 0.2 } else { 0.05 };
             *sigma += share * (measured - *sigma);
         }
