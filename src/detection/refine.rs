@@ -12,6 +12,8 @@ use crate::scene::{Track, TrackPoint};
 pub const EDGE_SIGMAS_PX: [f64; 5] = [0.3, 0.42, 0.55, 0.7, 0.9];
 /// Points of a track that has a say in the blur.
 const BLUR_POINTS_MIN: usize = 45;
+/// ... and its costs do not differ by more than this from blur to blur (a ball: 1.3 to 1.8).
+const BLUR_RATIO_MAX: f64 = 2.2;
 /// Tracks on which all blurs are tried.
 const BLUR_TRACKS: usize = 4;
 /// Frames of a track on which the blur is chosen.
@@ -28,6 +30,8 @@ const EXPOSURE_GUESS_S: (f64, f64) = (0.001, 1.0);
 const STREAK_SCALE_SIGMA: f64 = 0.03;
 /// The first look sees the lit part: the ball is larger by about this.
 const RADIUS_OVER_FIRST_LOOK: f64 = 1.3;
+/// What is left of light and blur in a centre, the same way for a whole track, pixels.
+const SYSTEMATIC_PX: f64 = 0.03;
 /// A frame this unlike the ball keeps its centroid.
 const CHI2_MAX: f64 = 25.0;
 
@@ -56,9 +60,41 @@ pub struct BlurChoice {
 }
 
 impl BlurChoice {
+    /// Index of the likeliest blur tried.
     fn best(&self) -> usize {
         let costs = self.costs.iter().enumerate();
         costs.min_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(i, _)| i)
+    }
+
+    /// The likeliest blur: where a parabola through the best and its neighbours is lowest.
+    fn sigma_px(&self) -> Option<f64> {
+        let best = self.best();
+        let middle = EDGE_SIGMAS_PX.get(best).copied()?;
+        let side =
+            |i: Option<usize>| i.and_then(|i| EDGE_SIGMAS_PX.get(i).copied().zip(self.costs.get(i).copied()));
+        let (Some((low, cost_low)), Some((high, cost_high))) =
+            (side(best.checked_sub(1)), side(Some(best + 1)))
+        else {
+            return Some(middle);
+        };
+        let cost = self.costs.get(best).copied()?;
+        let (a, b) = (
+            (middle - low) * (cost - cost_high),
+            (middle - high) * (cost - cost_low),
+        );
+        let shift = 0.5 * ((middle - low) * a - (middle - high) * b) / (a - b);
+        Some(if shift.is_finite() {
+            (middle - shift).clamp(low, high)
+        } else {
+            middle
+        })
+    }
+
+    /// Whether these costs are those of a ball: no blur explains it twice as well as another.
+    fn plausible(costs: &[f64]) -> bool {
+        let low = costs.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = costs.iter().copied().fold(0.0, f64::max);
+        high < BLUR_RATIO_MAX * low
     }
 }
 
@@ -110,7 +146,7 @@ pub fn refine(
         }
         if let Some(point) = track.points.get_mut(*index) {
             point.pixel = Pixel::new(centre.centre_px.x, centre.centre_px.y);
-            point.covariance_px2 = Some(centre.covariance_px2 + Matrix2::identity() * 1e-4);
+            point.covariance_px2 = Some(centre.covariance_px2 + Matrix2::identity() * SYSTEMATIC_PX.powi(2));
             fitted += 1;
         }
     }
@@ -227,13 +263,14 @@ fn choose_edge(
         }
         total.tracks += 1;
         // Only a long track is surely a ball.
-        if starts.len() >= BLUR_POINTS_MIN {
+        let own: Vec<f64> = found.iter().flatten().map(|f| f.0).collect();
+        if starts.len() >= BLUR_POINTS_MIN && BlurChoice::plausible(&own) {
             *blur = total;
         }
     }
     let best = total.best();
     let (_, shared) = found.get(best).copied().flatten()?;
-    Some((Edge::new(EDGE_SIGMAS_PX.get(best).copied()?), shared))
+    Some((Edge::new(total.sigma_px()?), shared))
 }
 
 fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
