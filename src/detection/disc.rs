@@ -221,8 +221,8 @@ mod tests {
     proptest! {
         #[test]
         fn the_gradient_is_the_derivative_of_the_value(
-            dx in -4.0..4.0f64, dy in -4.0..4.0f64, r in 1.5..5.0f64, sx in -6.0..6.0f64,
-            sy in -6.0..6.0f64, bu in -0.4..0.4f64, bv in -0.4..0.4f64, quadratic in -0.2..0.2f64,
+            dx in -1.1..1.1f64, dy in -1.1..1.1f64, r in 2.5..5.0f64, sx in -0.6..0.6f64,
+            sy in -0.6..0.6f64, bu in -0.4..0.4f64, bv in -0.4..0.4f64, quadratic in -0.2..0.2f64,
         ) {
             let mut p = Parameters::zeros();
             let values = [10.0, 20.0, 150.0, r, 1.0, bu, bv, quadratic, 0.05, -0.1, 0.2, -0.6, 0.4];
@@ -239,10 +239,11 @@ mod tests {
                 up[i] += h;
                 down[i] -= h;
                 let value = |p: &Parameters| model(x, 60.0, p, &sweep, &edge).map_or(60.0, |m| m.value);
-                let numeric = (value(&up) - value(&down)) / (2.0 * h);
-                // Left out of the derivative on purpose: the light held constant beyond the rim.
-                let slack = if i < LIGHT { 25.0 } else { 1e-3 };
-                prop_assert!((numeric - here.gradient[i]).abs() < slack, "{i}: {numeric} {}", here.gradient[i]);
+                let (ahead, behind) = ((value(&up) - here.value) / h, (here.value - value(&down)) / h);
+                // Within the rim; where the terminator or a step of the edge table lies between, there is a kink.
+                let kink = (ahead - behind).abs() > 0.02 * (1.0 + ahead.abs());
+                let off = (0.5 * (ahead + behind) - here.gradient[i]).abs();
+                prop_assert!(kink || off < 0.02 * (10.0 + ahead.abs()), "{i}: {ahead} {}", here.gradient[i]);
             }
         }
     }

@@ -55,6 +55,7 @@ macro_rules! dispatched {
     ($(#[$doc:meta])* $name:ident ( $($arg:ident : $type:ty),* ) $(-> $result:ty)?) => {
         impl Kernels {
             $(#[$doc])*
+            #[allow(clippy::too_many_arguments, reason = "self only says which instruction set")]
             #[inline]
             pub fn $name(self, $($arg: $type),*) $(-> $result)? {
                 #[cfg(target_arch = "x86_64")]
