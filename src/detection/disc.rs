@@ -221,9 +221,10 @@ mod tests {
     proptest! {
         #[test]
         fn the_gradient_is_the_derivative_of_the_value(
-            dx in -4.0..4.0f64, dy in -4.0..4.0f64, r in 1.5..5.0f64, sx in -6.0..6.0f64,
-            sy in -6.0..6.0f64, bu in -0.4..0.4f64, bv in -0.4..0.4f64, quadratic in -0.2..0.2f64,
+            dx in -1.0..1.0f64, dy in -1.0..1.0f64, r in 3.0..5.0f64, sx in -1.0..1.0f64,
+            sy in -1.0..1.0f64, bu in -0.4..0.4f64, bv in -0.4..0.4f64, quadratic in -0.2..0.2f64,
         ) {
+            // Inside the rim only: at it the light's slope has no bound, and the model leaves it out there.
             let mut p = Parameters::zeros();
             let values = [10.0, 20.0, 150.0, r, 1.0, bu, bv, quadratic, 0.05, -0.1, 0.2, -0.6, 0.4];
             for (i, value) in values.into_iter().enumerate() {
