@@ -42,10 +42,12 @@ pub struct Watched {
 /// Reasons kept per camera; the rest is counted.
 const REASONS_KEPT: usize = 5;
 
-/// Runs every source to its end, one thread a camera; `on_frame` is called after each frame, on any thread.
+/// Runs every source to its end, one thread a camera, with the settings that `eye` gives for it.
+///
+/// `on_frame` is called after each frame, on any thread.
 pub fn watch_all(
     sources: Vec<Box<dyn FrameSource>>,
-    eye: &EyeConfig,
+    eye: &(dyn Fn(&CameraId) -> EyeConfig + Sync),
     pace: Pace,
     on_frame: &(dyn Fn() + Sync),
 ) -> Vec<Watched> {
@@ -85,10 +87,15 @@ fn lost(camera: CameraId, reason: String) -> Watched {
     }
 }
 
-fn watch(source: Box<dyn FrameSource>, eye: &EyeConfig, pace: Pace, on_frame: &(dyn Fn() + Sync)) -> Watched {
+fn watch(
+    source: Box<dyn FrameSource>,
+    eye: &(dyn Fn(&CameraId) -> EyeConfig + Sync),
+    pace: Pace,
+    on_frame: &(dyn Fn() + Sync),
+) -> Watched {
     let FrameGeometry { width_px, height_px } = source.geometry();
     let camera = source.camera().clone();
-    let mut eye = CameraEye::new(camera.clone(), eye.clone(), width_px, height_px);
+    let mut eye = CameraEye::new(camera.clone(), eye(&camera), width_px, height_px);
     let mut watched = lost(camera.clone(), String::new());
     watched.reasons.clear();
     let mut clock = Paced::new(pace);
@@ -112,7 +119,6 @@ fn watch(source: Box<dyn FrameSource>, eye: &EyeConfig, pace: Pace, on_frame: &(
             Ok(()) => watched.frames += 1,
             Err(error) => refuse(&mut watched, error.to_string()),
         }
-        watched.tracks.extend(eye.drain_pitches());
     }
     eye.finish();
     watched.tracks.extend(eye.drain_pitches());

@@ -80,7 +80,7 @@ pub struct Blob {
     pub bottom: usize,
     /// Pixels.
     pub area_px: usize,
-    /// Sum of the signed change, levels.
+    /// Sum of the size of the change, levels.
     pub change_sum: i64,
     /// Largest size of change, levels.
     pub peak: i32,
@@ -102,6 +102,12 @@ pub struct BlobFinder {
 }
 
 impl Blob {
+    /// Change summed over its noise: larger is surer.
+    pub fn significance(&self) -> f64 {
+        self.change_sum as f64
+            / (f64::from(self.difference_sigma.max(0.5)) * (self.area_px.max(1) as f64).sqrt())
+    }
+
     /// Whether the boxes are within `gap` pixels of each other and both together no larger than `side`.
     fn belongs_to(&self, other: &Blob, gap: usize, side: usize) -> bool {
         let near = self.left <= other.right + gap
@@ -323,7 +329,7 @@ impl BlobFinder {
             blob.area_px += last + 1 - begin;
             for x in begin..=last {
                 let change = images.change(x, y);
-                blob.change_sum += i64::from(change);
+                blob.change_sum += i64::from(change.abs());
                 blob.peak = blob.peak.max(change.abs());
             }
         }

@@ -1,19 +1,21 @@
 //! One camera's detector: takes frames in time order, answers each a few frames later.
 
 use super::blobs::{Blob, BlobFinder, Images};
-use super::centroid::{Moments, moments, strongest_near, window_moments};
+use super::centroid::{Moments, moments, peak_near, strongest_near, window_moments};
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
 use super::error::DetectionError;
 use super::history::History;
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::patches::PatchPool;
-use super::refine::{Refinement, refine};
+use super::refine::{BlurChoice, Refinement, refine};
 use super::regions::{REGION_TILES, RegionNoise};
 use super::tiles::TileMap;
 use crate::geometry::Pixel;
 use crate::scene::{Detection, Frame, FrameStamp, Track};
 
+/// One row of every so many bands tells the noise, others in every frame.
+const LEARN_EVERY_BANDS: usize = 16;
 /// A blob of fewer pixels is noise.
 const AREA_MIN_PX: usize = 4;
 
@@ -22,6 +24,10 @@ const BLOB_SIDE_MAX_PX: usize = 48;
 /// Places looked at in such a blob, and the distance between them.
 const PLACES_IN_BLOB: usize = 6;
 const PLACE_STEP_PX: usize = 16;
+/// Large blobs looked into in one frame.
+const LARGE_BLOBS_MAX: usize = 8;
+/// Pixels around a small blob that are looked at too.
+const WINDOW_MARGIN_PX: f64 = 3.5;
 /// An expected ball is believed from this many σ of a pixel's difference, as the mean over 3×3 pixels.
 const EXPECTED_SIGMAS: f64 = 1.5;
 /// ... and no other candidate may be nearer than this, pixels.
@@ -76,19 +82,19 @@ pub struct Detector {
     lag: usize,
     next_lag: usize,
     next_answer: usize,
-    column_max: Vec<u8>,
+    tile_max: Vec<u8>,
     tiles: TileMap,
     blobs: BlobFinder,
     found: Vec<(Detection, Blob)>,
     expected: Vec<ExpectedBall>,
     detections: Vec<Detection>,
     patches: PatchPool,
-    edge_sigma_px: Option<f64>,
+    blur: BlurChoice,
     counters: DetectorCounters,
 }
 
 impl Detector {
-    /// A detector for frames of this size, on the widest instruction set there is.
+    /// A detector for frames of this size, on the instruction set that suits the machine.
     pub fn new(config: DetectorConfig, width_px: u32, height_px: u32) -> Self {
         Self::with_isa(config, width_px, height_px, Isa::detect())
     }
@@ -106,13 +112,13 @@ impl Detector {
             lag: config.lag_frames.max(1),
             next_lag: config.lag_frames.max(1),
             next_answer: 0,
-            column_max: vec![0; width],
+            tile_max: vec![0; width.div_ceil(TILE_WIDTH_PX)],
             tiles: TileMap::new(width, height),
             blobs: BlobFinder::new(width, Kernels::new(isa)),
             found: Vec::with_capacity(1024),
             expected: Vec::with_capacity(64),
             patches: PatchPool::new(config.patch_bytes),
-            edge_sigma_px: None,
+            blur: BlurChoice::default(),
             detections: Vec::with_capacity(config.candidates_max + 1),
             counters: DetectorCounters::default(),
             config,
@@ -179,9 +185,7 @@ impl Detector {
     /// kept cut-outs. Points whose cut-out is gone or does not look like the ball keep their centroid and its
     /// larger covariance. `None`: too few cut-outs, nothing changed.
     pub fn refine(&mut self, track: &mut Track) -> Option<Refinement> {
-        let refinement = refine(&self.patches, self.config.exposure_s, self.edge_sigma_px, track)?;
-        self.edge_sigma_px = Some(refinement.edge_sigma_px);
-        Some(refinement)
+        refine(&self.patches, self.config.exposure_s, &mut self.blur, track)
     }
 
     /// Chooses the lag for a ball that moves at least this far between frames and covers this length along its
@@ -221,13 +225,20 @@ impl Detector {
             .chunks(band_bytes)
             .zip(previous.bytes().chunks(band_bytes));
         for (band, (current, before)) in bands.enumerate() {
-            self.kernels.band_change(current, before, &mut self.column_max);
-            for (column, most) in self.column_max.chunks(TILE_WIDTH_PX).enumerate() {
-                if self.kernels.largest(most) > self.noise.tile_threshold(band, column) {
+            let thresholds = self.noise.band_thresholds(band);
+            self.kernels
+                .changed_tiles(current, before, self.width_px, thresholds, &mut self.tile_max);
+            for (column, (most, threshold)) in self
+                .tile_max
+                .iter()
+                .zip(self.noise.band_thresholds(band))
+                .enumerate()
+            {
+                if *most > *threshold {
                     changed.set(band, column);
                 }
             }
-            if (band + self.counters.frames as usize).is_multiple_of(4) {
+            if (band + self.counters.frames as usize).is_multiple_of(LEARN_EVERY_BANDS) {
                 let mut rows = current.chunks(self.width_px).zip(before.chunks(self.width_px));
                 if let Some((c, p)) = rows.next_back() {
                     for (region, (c, p)) in c.chunks(region_width).zip(p.chunks(region_width)).enumerate() {
@@ -270,17 +281,26 @@ impl Detector {
         };
         self.blobs.find(&images, &self.tiles, &self.noise);
         self.counters.overflows += u64::from(self.blobs.overflowed);
-        for blob in &self.blobs.blobs {
-            let clear =
-                f64::from(blob.peak) > self.config.threshold_sigmas * f64::from(blob.difference_sigma);
-            if !clear || blob.area_px < AREA_MIN_PX {
-                continue;
-            }
+        let sigmas = self.config.threshold_sigmas;
+        self.blobs.blobs.retain(|blob| {
+            f64::from(blob.peak) > sigmas * f64::from(blob.difference_sigma) && blob.area_px >= AREA_MIN_PX
+        });
+        // The moments are dear: only the strongest blobs get them.
+        self.blobs
+            .blobs
+            .sort_unstable_by(|a, b| b.significance().total_cmp(&a.significance()));
+        let most = self.config.candidates_max;
+        self.counters.candidates_dropped += self.blobs.blobs.len().saturating_sub(most) as u64;
+        let mut large = 0;
+        for blob in self.blobs.blobs.iter().take(most) {
             let side = (blob.right - blob.left).max(blob.bottom - blob.top);
             if side > BLOB_SIDE_MAX_PX {
-                look_into(&images, blob, &self.config, stamp, &mut self.found);
+                large += 1;
+                if large <= LARGE_BLOBS_MAX {
+                    look_into(&images, blob, &self.config, stamp, &mut self.found);
+                }
             } else if let Some(found) =
-                moments(&images, blob).and_then(|m| candidate(&self.config, stamp, &m))
+                small_ball(&images, blob, side).and_then(|m| candidate(&self.config, stamp, &m))
             {
                 self.found.push((found, *blob));
             }
@@ -315,7 +335,7 @@ impl Detector {
 fn candidate(config: &DetectorConfig, stamp: FrameStamp, found: &Moments) -> Option<Detection> {
     let [smallest, largest] = config.radius_px;
     let streak = found.streak_px.norm();
-    let fits = (smallest * 0.7..=largest).contains(&found.radius_px) && streak <= 5.0 * largest;
+    let fits = (smallest * 0.4..=largest).contains(&found.radius_px) && streak <= 5.0 * largest;
     let (x, y) = (found.centre_px.x, found.centre_px.y);
     if !fits || config.masks.iter().any(|mask| mask.contains(x, y)) {
         return None;
@@ -331,6 +351,14 @@ fn candidate(config: &DetectorConfig, stamp: FrameStamp, found: &Moments) -> Opt
     })
 }
 
+/// Moments of a small blob and of what is around it: the side of a ball that the light leaves near the
+/// background's level is too weak to be of the blob.
+fn small_ball(images: &Images<'_>, blob: &Blob, side_px: usize) -> Option<Moments> {
+    let own = moments(images, blob)?;
+    let window_px = 0.5 * side_px as f64 + WINDOW_MARGIN_PX;
+    window_moments(images, own.centre_px, window_px, f64::from(blob.difference_sigma)).or(Some(own))
+}
+
 /// The strongest places of a large blob.
 fn look_into(
     images: &Images<'_>,
@@ -344,7 +372,7 @@ fn look_into(
     for y in (blob.top..=blob.bottom).step_by(PLACE_STEP_PX) {
         for x in (blob.left..=blob.right).step_by(PLACE_STEP_PX) {
             let (cx, cy) = ((x + half) as f64, (y + half) as f64);
-            places.extend(strongest_near(images, cx, cy, half as f64));
+            places.extend(peak_near(images, cx as usize, cy as usize, half));
         }
     }
     places.sort_by(|a, b| b.1.total_cmp(&a.1));

@@ -28,7 +28,7 @@ pub const PARAMETERS: usize = LIGHT + TERMS;
 /// n_z is kept above this: the light's slope has no end at the rim.
 const RIM_DEPTH_MIN: f64 = 0.1;
 /// Longest step between two instants of the sweep, pixels.
-const SWEEP_STEP_PX: f64 = 0.7;
+const SWEEP_STEP_PX: f64 = 0.45;
 /// Steps of the edge table per pixel.
 const EDGE_STEPS_PER_PX: f64 = 64.0;
 /// The edge table ends this many σ from the edge.

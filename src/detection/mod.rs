@@ -28,6 +28,6 @@ mod tiles;
 
 pub use config::{DetectorConfig, PixelRect};
 pub use detector::{Answers, Detector, DetectorCounters, ExpectedBall};
-pub use dispatch::Isa;
+pub use dispatch::{Isa, Kernels};
 pub use error::DetectionError;
 pub use refine::Refinement;

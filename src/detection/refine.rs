@@ -9,8 +9,14 @@ use crate::geometry::Pixel;
 use crate::scene::{Track, TrackPoint};
 
 /// Blurs of the disc's edge that are tried (σ, pixels): pixel area alone to soft optics.
-const EDGE_SIGMAS_PX: [f64; 4] = [0.3, 0.42, 0.6, 0.85];
-/// Frames on which the blur is chosen.
+pub const EDGE_SIGMAS_PX: [f64; 5] = [0.3, 0.42, 0.55, 0.7, 0.9];
+/// Points of a track that has a say in the blur.
+const BLUR_POINTS_MIN: usize = 45;
+/// ... and its costs do not differ by more than this from blur to blur (a ball: 1.3 to 1.8).
+const BLUR_RATIO_MAX: f64 = 2.2;
+/// Tracks on which all blurs are tried.
+const BLUR_TRACKS: usize = 4;
+/// Frames of a track on which the blur is chosen.
 const TRIAL_FRAMES: usize = 20;
 /// Gauss–Newton steps of a trial and of the fit.
 const STEPS: (usize, usize) = (8, 14);
@@ -24,6 +30,8 @@ const EXPOSURE_GUESS_S: (f64, f64) = (0.001, 1.0);
 const STREAK_SCALE_SIGMA: f64 = 0.03;
 /// The first look sees the lit part: the ball is larger by about this.
 const RADIUS_OVER_FIRST_LOOK: f64 = 1.3;
+/// What is left of light and blur in a centre, the same way for a whole track, pixels.
+const SYSTEMATIC_PX: f64 = 0.03;
 /// A frame this unlike the ball keeps its centroid.
 const CHI2_MAX: f64 = 25.0;
 
@@ -44,11 +52,57 @@ pub struct Refinement {
     pub left: usize,
 }
 
+/// How well each blur has explained the tracks so far; the camera's optics do not change from pitch to pitch.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct BlurChoice {
+    costs: [f64; EDGE_SIGMAS_PX.len()],
+    tracks: usize,
+}
+
+impl BlurChoice {
+    /// Index of the likeliest blur tried.
+    fn best(&self) -> usize {
+        let costs = self.costs.iter().enumerate();
+        costs.min_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(i, _)| i)
+    }
+
+    /// The likeliest blur: where a parabola through the best and its neighbours is lowest.
+    fn sigma_px(&self) -> Option<f64> {
+        let best = self.best();
+        let middle = EDGE_SIGMAS_PX.get(best).copied()?;
+        let side =
+            |i: Option<usize>| i.and_then(|i| EDGE_SIGMAS_PX.get(i).copied().zip(self.costs.get(i).copied()));
+        let (Some((low, cost_low)), Some((high, cost_high))) =
+            (side(best.checked_sub(1)), side(Some(best + 1)))
+        else {
+            return Some(middle);
+        };
+        let cost = self.costs.get(best).copied()?;
+        let (a, b) = (
+            (middle - low) * (cost - cost_high),
+            (middle - high) * (cost - cost_low),
+        );
+        let shift = 0.5 * ((middle - low) * a - (middle - high) * b) / (a - b);
+        Some(if shift.is_finite() {
+            (middle - shift).clamp(low, high)
+        } else {
+            middle
+        })
+    }
+
+    /// Whether these costs are those of a ball: no blur explains it twice as well as another.
+    fn plausible(costs: &[f64]) -> bool {
+        let low = costs.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = costs.iter().copied().fold(0.0, f64::max);
+        high < BLUR_RATIO_MAX * low
+    }
+}
+
 /// Refines a track in place.
 pub fn refine(
     pool: &PatchPool,
     exposure_s: Option<f64>,
-    edge_sigma_px: Option<f64>,
+    blur: &mut BlurChoice,
     track: &mut Track,
 ) -> Option<Refinement> {
     let starts = starts(pool, exposure_s, track)?;
@@ -59,7 +113,7 @@ pub fn refine(
     };
     let radius = median(starts.iter().map(|(_, s)| s.radius_px))?;
     let first = Shared::start(radius, scale_sigma);
-    let (edge, shared) = choose_edge(pool, track, &starts, &first, edge_sigma_px)?;
+    let (edge, shared) = choose_edge(pool, track, &starts, &first, blur)?;
 
     // Again with the pixels that the ball of the found size reaches, from the found centres.
     let mut pictures = Vec::with_capacity(starts.len());
@@ -92,7 +146,7 @@ pub fn refine(
         }
         if let Some(point) = track.points.get_mut(*index) {
             point.pixel = Pixel::new(centre.centre_px.x, centre.centre_px.y);
-            point.covariance_px2 = Some(centre.covariance_px2 + Matrix2::identity() * 1e-4);
+            point.covariance_px2 = Some(centre.covariance_px2 + Matrix2::identity() * SYSTEMATIC_PX.powi(2));
             fitted += 1;
         }
     }
@@ -159,21 +213,22 @@ fn velocity(points: &[TrackPoint], index: usize) -> Vector2<f64> {
     sum / f64::max(squares, 1e-12)
 }
 
-/// Fits a few frames with every blur (or the one found before) and keeps the likeliest.
+/// Fits a few frames with every blur (later only with the best) and keeps the likeliest over all tracks.
 fn choose_edge(
     pool: &PatchPool,
     track: &Track,
     starts: &[(usize, PictureStart)],
     first: &Shared,
-    known_sigma_px: Option<f64>,
+    blur: &mut BlurChoice,
 ) -> Option<(Edge, Shared)> {
     let step = starts.len().div_ceil(TRIAL_FRAMES).max(1);
-    let widest = EDGE_SIGMAS_PX.last().copied().unwrap_or(1.0);
-    let selector = Edge::new(widest);
-    let known = known_sigma_px.as_slice();
-    let tried: &[f64] = if known.is_empty() { &EDGE_SIGMAS_PX } else { known };
-    let mut best: Option<(f64, Edge, Shared)> = None;
-    for sigma_px in tried {
+    let selector = Edge::new(EDGE_SIGMAS_PX.last().copied().unwrap_or(1.0));
+    let settled = blur.tracks >= BLUR_TRACKS;
+    let mut found: [Option<(f64, Shared)>; EDGE_SIGMAS_PX.len()] = Default::default();
+    for (index, sigma_px) in EDGE_SIGMAS_PX.iter().enumerate() {
+        if settled && index != blur.best() {
+            continue;
+        }
         // The same pixels for every blur, or their costs could not be compared.
         let mut pictures: Vec<Picture> = starts
             .iter()
@@ -183,18 +238,39 @@ fn choose_edge(
                 Picture::new(&pool.find(point.stamped, point.pixel)?, start, &selector)
             })
             .collect();
-        if pictures.len() < PICTURES_MIN.min(starts.len()) {
+        if pictures.len() < PICTURES_MIN {
             return None;
         }
         let edge = Edge::new(*sigma_px);
         let mut shared = *first;
-        if let Some((_, cost)) = fit_shared(&mut pictures, &mut shared, &edge, STEPS.0)
-            && best.as_ref().is_none_or(|b| cost < b.0)
-        {
-            best = Some((cost, edge, shared));
+        if fit_shared(&mut pictures, &mut shared, &edge, STEPS.0).is_none() {
+            continue;
+        }
+        // Held to the sphere alone the light would be matched by a wrong blur.
+        let held = shared;
+        shared.release_light();
+        if let (Some((_, cost)), Some(slot)) = (
+            fit_shared(&mut pictures, &mut shared, &edge, STEPS.0),
+            found.get_mut(index),
+        ) {
+            *slot = Some((cost, held));
         }
     }
-    best.map(|(_, edge, shared)| (edge, shared))
+    let mut total = *blur;
+    if !settled && found.iter().all(Option::is_some) {
+        for (sum, cost) in total.costs.iter_mut().zip(found.iter().flatten()) {
+            *sum += cost.0;
+        }
+        total.tracks += 1;
+        // Only a long track is surely a ball.
+        let own: Vec<f64> = found.iter().flatten().map(|f| f.0).collect();
+        if starts.len() >= BLUR_POINTS_MIN && BlurChoice::plausible(&own) {
+            *blur = total;
+        }
+    }
+    let best = total.best();
+    let (_, shared) = found.get(best).copied().flatten()?;
+    Some((Edge::new(total.sigma_px()?), shared))
 }
 
 fn median(values: impl Iterator<Item = f64>) -> Option<f64> {

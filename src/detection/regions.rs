@@ -20,8 +20,12 @@ const SIGMA_START: f32 = 3.0;
 pub struct RegionNoise {
     columns: usize,
     sigma: Vec<f32>,
+    /// Threshold per region, as last written to its tiles.
+    levels: Vec<u8>,
+    /// Per tile, 255 where it is not searched.
     threshold: Vec<u8>,
     searched: Vec<bool>,
+    bands: usize,
     tile_columns: usize,
     threshold_sigmas: f32,
     threshold_min: f32,
@@ -37,7 +41,9 @@ impl RegionNoise {
         let mut noise = Self {
             columns,
             sigma: vec![SIGMA_START; count],
-            threshold: vec![0; count],
+            levels: vec![0; count],
+            threshold: vec![u8::MAX; tile_columns * bands],
+            bands,
             searched: (0..tile_columns * bands)
                 .map(|tile| tile_searched(config, tile % tile_columns, tile / tile_columns))
                 .collect(),
@@ -52,9 +58,26 @@ impl RegionNoise {
     }
 
     fn set_threshold(&mut self, index: usize) {
-        if let (Some(sigma), Some(threshold)) = (self.sigma.get(index), self.threshold.get_mut(index)) {
-            let levels = (self.threshold_sigmas * sigma + 1.0).max(self.threshold_min);
-            *threshold = levels.min(254.0) as u8;
+        let Some(sigma) = self.sigma.get(index) else {
+            return;
+        };
+        let levels = (self.threshold_sigmas * sigma + 1.0)
+            .max(self.threshold_min)
+            .min(254.0) as u8;
+        if self.levels.get(index) == Some(&levels) {
+            return;
+        }
+        if let Some(known) = self.levels.get_mut(index) {
+            *known = levels;
+        }
+        let (row, column) = (index / self.columns, index % self.columns);
+        for band in row * REGION_BANDS..((row + 1) * REGION_BANDS).min(self.bands) {
+            for tile in column * REGION_TILES..((column + 1) * REGION_TILES).min(self.tile_columns) {
+                let at = band * self.tile_columns + tile;
+                if let (Some(true), Some(threshold)) = (self.searched.get(at), self.threshold.get_mut(at)) {
+                    *threshold = levels;
+                }
+            }
         }
     }
 
@@ -64,14 +87,18 @@ impl RegionNoise {
 
     /// A tile is hit above this many levels; 255 (never) where the tile is not searched.
     pub fn tile_threshold(&self, band: usize, tile_column: usize) -> u8 {
-        match self.searched.get(band * self.tile_columns + tile_column) {
-            Some(true) => self
-                .threshold
-                .get(self.index(band, tile_column))
-                .copied()
-                .unwrap_or(u8::MAX),
-            _ => u8::MAX,
-        }
+        self.band_thresholds(band)
+            .get(tile_column)
+            .copied()
+            .unwrap_or(u8::MAX)
+    }
+
+    /// The thresholds of a row of tiles.
+    pub fn band_thresholds(&self, band: usize) -> &[u8] {
+        let begin = band * self.tile_columns;
+        self.threshold
+            .get(begin..begin + self.tile_columns)
+            .unwrap_or(&[])
     }
 
     /// Standard deviation of a frame difference here, levels.
@@ -95,7 +122,7 @@ impl RegionNoise {
         let index = (band / REGION_BANDS) * self.columns + region_column;
         if let Some(sigma) = self.sigma.get_mut(index) {
             let measured = (SIGMA_OVER_MEAN * mean_change).max(0.5);
-            // Learned twice every eighth frame: a rise is there within 0.2 s, a fall within a second.
+            // Learned every second frame: a rise is there within 0.1 s, a fall within a second.
             let share = if measured > *sigma { 0.2 } else { 0.05 };
             *sigma += share * (measured - *sigma);
         }

@@ -1,10 +1,10 @@
 //! One camera's eye: frames in, tracks of pitched balls out (detection, then tracking, then a second look).
 
-use crate::detection::{
-    Answers, DetectionError, Detector, DetectorConfig, DetectorCounters, ExpectedBall, Refinement,
-};
+use crate::detection::{Answers, DetectionError, Detector, DetectorConfig, DetectorCounters, ExpectedBall};
 use crate::scene::{CameraId, Detection, Frame, FrameStamp, Track};
-use crate::tracking::{TrackKind, TrackedBall, Tracker, TrackerConfig, TrackerCounters, polish};
+use crate::tracking::{
+    TrackKind, TrackShape, TrackedBall, Tracker, TrackerConfig, TrackerCounters, polish, vote,
+};
 
 /// Departure of refined centres from a smooth path beyond their covariance, pixels.
 const REFINED_FLOOR_PX: f64 = 0.2;
@@ -22,7 +22,9 @@ pub struct EyeConfig {
 pub struct CameraEye {
     detector: Detector,
     tracker: Tracker,
+    tracker_config: TrackerConfig,
     balls: Vec<TrackedBall>,
+    shapes: Vec<TrackShape>,
 }
 
 /// The tracker as the detector sees it: it takes candidates and says where to look for weak ones.
@@ -48,8 +50,10 @@ impl CameraEye {
     pub fn new(camera: CameraId, config: EyeConfig, width_px: u32, height_px: u32) -> Self {
         Self {
             detector: Detector::new(config.detector, width_px, height_px),
-            tracker: Tracker::new(camera, config.tracker),
+            tracker: Tracker::new(camera, config.tracker.clone()),
+            tracker_config: config.tracker,
             balls: Vec::new(),
+            shapes: Vec::new(),
         }
     }
 
@@ -84,14 +88,22 @@ impl CameraEye {
             if ball.kind == TrackKind::Pitch
                 && let Some(refinement) = self.detector.refine(&mut ball.track)
             {
-                ball.shape.radius_px = refinement.radius_px;
                 if let Some(polished) = polish(&ball.track, REFINED_FLOOR_PX) {
                     ball.track = polished;
                 }
-                if let Some((step_px, length_px)) = slowest_step(&ball.track, &refinement) {
+                if let Some(shape) = TrackShape::measure(&ball.track, refinement.radius_px) {
+                    ball.shape = shape;
+                    ball.kind = shape.kind(&self.tracker_config);
+                }
+                if refinement.fitted < refinement.left {
+                    ball.kind = TrackKind::Rough;
+                }
+            }
+            if ball.kind == TrackKind::Pitch {
+                if let Some((step_px, length_px)) = slowest_step(&ball.track, ball.shape.radius_px) {
                     self.detector.adapt_lag(step_px, length_px);
                 }
-                tracing::debug!(camera = %ball.track.camera, track = ball.track.track, ?refinement, "refined");
+                tracing::debug!(camera = %ball.track.camera, track = ball.track.track, shape = ?ball.shape, "pitch");
             }
             self.balls.push(ball);
         }
@@ -102,12 +114,23 @@ impl CameraEye {
         std::mem::take(&mut self.balls)
     }
 
-    /// The pitches since the last call.
+    /// The pitches since the last call. Which way this camera's pitches go is voted by all balls seen so far, so
+    /// asking once at the end is surest.
     pub fn drain_pitches(&mut self) -> Vec<Track> {
-        self.drain_balls()
+        let mut balls = self.drain_balls();
+        balls.retain(|ball| ball.kind == TrackKind::Pitch);
+        self.shapes.extend(balls.iter().map(|ball| ball.shape));
+        let votes = vote(&self.shapes);
+        let fresh = votes.len() - balls.len();
+        if fresh > SHAPES_KEPT {
+            self.shapes.drain(..fresh - SHAPES_KEPT);
+        }
+        let fresh_votes = votes.into_iter().skip(fresh);
+        balls
             .into_iter()
-            .filter(|ball| ball.kind == TrackKind::Pitch)
-            .map(|ball| ball.track)
+            .zip(fresh_votes)
+            .filter(|(_, pitch)| *pitch)
+            .map(|(ball, _)| ball.track)
             .collect()
     }
 
@@ -122,11 +145,13 @@ impl CameraEye {
     }
 }
 
+/// Earlier balls that vote on which way pitches go.
+const SHAPES_KEPT: usize = 60;
 /// Points over which a step is averaged.
 const STEP_POINTS: usize = 6;
 
 /// The shortest step of a track between frames, and the ball's length along its motion, pixels.
-fn slowest_step(track: &Track, refinement: &Refinement) -> Option<(f64, f64)> {
+fn slowest_step(track: &Track, radius_px: f64) -> Option<(f64, f64)> {
     let step_px = track
         .points
         .windows(STEP_POINTS)
@@ -136,8 +161,7 @@ fn slowest_step(track: &Track, refinement: &Refinement) -> Option<(f64, f64)> {
             Some((last.pixel.vector() - first.pixel.vector()).norm() / frames)
         })
         .min_by(f64::total_cmp)?;
-    let [begin, end] = refinement.radius_ends_px;
-    Some((step_px, 2.0 * begin.max(end) + 0.3 * step_px))
+    Some((step_px, 2.6 * radius_px + 0.3 * step_px))
 }
 
 #[cfg(test)]

@@ -13,8 +13,11 @@ pub struct TrackerConfig {
     pub span_min_s: f64,
     /// Smallest and largest speed of a ball in the image, pixels per frame.
     pub speed_px_per_frame: [f64; 2],
-    /// Slowest mean speed of a pitch across the line of sight, in ball radii per second (1000 is 37 m/s).
+    /// Slowest peak speed of a pitch across the line of sight, in ball radii per second (1000 is 37 m/s). A high
+    /// camera behind home sees a 25 m/s lob at 430, a striding foot makes 200.
     pub speed_radii_per_s_min: f64,
+    /// Shortest way of a pitch across the line of sight, in ball radii (100 is 3.7 m).
+    pub path_radii_min: f64,
     /// Most hypotheses kept alive.
     pub hypotheses_max: usize,
     /// A break between stamps longer than this ends every track, seconds.
@@ -29,7 +32,8 @@ impl Default for TrackerConfig {
             points_min: 12,
             span_min_s: 0.1,
             speed_px_per_frame: [0.7, 90.0],
-            speed_radii_per_s_min: 170.0,
+            speed_radii_per_s_min: 300.0,
+            path_radii_min: 40.0,
             hypotheses_max: 64,
             break_s: 0.25,
         }

@@ -6,13 +6,28 @@ use nalgebra::Vector2;
 
 use super::config::TrackerConfig;
 use super::curve::{Curve, Sample, Stiffness};
-use super::hypothesis::{Hypothesis, Point, gain, local_curve};
+use super::hypothesis::{Hypothesis, Point, gain, light_variance_px2, local_curve};
 use super::shape::{TrackShape, TrackedBall};
 use super::tracker::FramePoints;
 use crate::scene::{CameraId, Track, TrackPoint};
 
 /// Points looked at when extending back.
 const LOOK_AHEAD: usize = 10;
+/// Points of the window from which free flight is grown.
+const WINDOW: usize = 10;
+/// Rms distance of a smooth window from a parabola, pixels (and 2 % of the speed).
+const SMOOTH_RMS_PX: f64 = 0.6;
+/// Points that a stretch's growth looks back on, its gate in σ and at most in pixels.
+const GROW_BACK: usize = 30;
+const GROW_SIGMAS: f64 = 3.0;
+const GROW_MAX_PX: f64 = 5.0;
+/// Points taken off an end at once, and the rms distance from a smooth curve that is smooth enough, pixels.
+const TRIM_STEP: usize = 2;
+const TRIM_RMS_PX: f64 = 0.9;
+/// This many points in a row off the path end it.
+const STRAYS_MAX: usize = 4;
+/// A centroid that was not refined (variance per axis above this, px²) may be off by so much, pixels.
+const UNREFINED: (f64, f64) = (0.04, 0.8);
 /// A point further than this many σ from the smooth path is not the ball.
 const OUTLIER_SIGMAS: f64 = 5.0;
 /// Departure of centroids from the smooth path beyond their covariance, pixels.
@@ -25,7 +40,8 @@ pub fn conclude(
     hypothesis: &Hypothesis,
     history: &VecDeque<FramePoints>,
 ) -> Option<(Vec<Point>, TrackedBall)> {
-    let points = extend_back(config, hypothesis.points.clone(), history);
+    let core = free_flight(&hypothesis.points)?;
+    let points = trim_ends(extend(config, core, history));
     let track = Track {
         camera: camera.clone(),
         track: 0,
@@ -59,36 +75,154 @@ pub fn conclude(
     ))
 }
 
-/// Adds earlier detections that lie on the path's continuation into the past.
-fn extend_back(
-    config: &TrackerConfig,
-    mut points: Vec<Point>,
-    history: &VecDeque<FramePoints>,
-) -> Vec<Point> {
+/// The longest smooth stretch around the fastest smooth window: a path may have begun in the arm and may end
+/// in the glove.
+fn free_flight(points: &[Point]) -> Option<Vec<Point>> {
+    let window = WINDOW.min(points.len());
+    let (begin, _) = points
+        .windows(window)
+        .enumerate()
+        .filter_map(|(i, stretch)| Some((i, smooth_speed(stretch)?)))
+        .max_by(|a, b| a.1.total_cmp(&b.1))?;
+    let mut forward: Vec<Point> = points.get(begin..begin + window)?.to_vec();
+    grow(&mut forward, points.get(begin + window..).unwrap_or(&[]).iter());
+    forward.reverse();
+    grow(&mut forward, points.get(..begin).unwrap_or(&[]).iter().rev());
+    forward.reverse();
+    Some(forward)
+}
+
+/// Speed over a stretch in pixels per frame, if it is smooth.
+fn smooth_speed(stretch: &[Point]) -> Option<f64> {
+    let curve = local_curve(stretch)?;
+    let (first, last) = (stretch.first()?, stretch.last()?);
+    let speed = (last.position() - first.position()).norm() / (last.t - first.t).max(1.0);
+    let squares: f64 = stretch
+        .iter()
+        .map(|p| (p.position() - curve.position(p.t)).norm_squared())
+        .sum();
+    let rms = (squares / stretch.len() as f64).sqrt();
+    (rms < SMOOTH_RMS_PX + 0.02 * speed).then_some(speed)
+}
+
+/// Adds the points that go on smoothly; stops when several in a row do not.
+fn grow<'a>(path: &mut Vec<Point>, next: impl Iterator<Item = &'a Point>) {
+    let mut strays = 0;
+    for point in next {
+        let Some(last) = path.last().copied() else { return };
+        let from = path.len().saturating_sub(GROW_BACK);
+        let samples: Vec<Sample> = path
+            .get(from..)
+            .unwrap_or(&[])
+            .iter()
+            .map(Point::sample)
+            .collect();
+        // A cubic over half the flight: an arm or a leg near the ball leaves it within a few frames.
+        let degree = if samples.len() >= 2 * WINDOW { 3 } else { 2 };
+        let stiffness = Stiffness {
+            degree,
+            acceleration_sigma: f64::INFINITY,
+        };
+        let Some(curve) = Curve::fit(&samples, stiffness) else {
+            return;
+        };
+        let variance =
+            curve.variance_px2(point.t) + point.sample().variance_px2 + light_variance_px2(&last, point);
+        let miss = (point.position() - curve.position(point.t)).norm();
+        if miss < GROW_SIGMAS * variance.sqrt() && miss < GROW_MAX_PX {
+            path.push(*point);
+            strays = 0;
+        } else {
+            strays += 1;
+            if strays >= STRAYS_MAX {
+                return;
+            }
+        }
+    }
+}
+
+/// The longest stretch that is smooth as a whole: what the hand and the glove add bends it.
+fn trim_ends(points: Vec<Point>) -> Vec<Point> {
+    let mut best = 0..0;
+    for begin in (0..points.len()).step_by(TRIM_STEP) {
+        let mut end = points.len();
+        while end > begin + WINDOW && end - begin > best.len() {
+            if points
+                .get(begin..end)
+                .is_some_and(|stretch| roughness_px(stretch) < TRIM_RMS_PX)
+            {
+                best = begin..end;
+                break;
+            }
+            end = end.saturating_sub(TRIM_STEP);
+        }
+    }
+    points.get(best).unwrap_or(&[]).to_vec()
+}
+
+/// Rms distance from one smooth curve.
+fn roughness_px(points: &[Point]) -> f64 {
+    let samples: Vec<Sample> = points.iter().map(Point::sample).collect();
+    let degree = (samples.len() / 6).clamp(2, 5);
+    let stiffness = Stiffness {
+        degree,
+        acceleration_sigma: f64::INFINITY,
+    };
+    let Some(curve) = Curve::fit(&samples, stiffness) else {
+        return f64::INFINITY;
+    };
+    let squares: f64 = samples
+        .iter()
+        .map(|s| (s.position_px - curve.position(s.t)).norm_squared())
+        .sum();
+    (squares / samples.len() as f64).sqrt()
+}
+
+/// Adds detections that lie on the path's continuation, into the future and then into the past.
+fn extend(config: &TrackerConfig, mut points: Vec<Point>, history: &VecDeque<FramePoints>) -> Vec<Point> {
+    follow(config, &mut points, history.iter());
     points.reverse();
-    for frame in history.iter().rev() {
-        let Some(first) = points.last() else { break };
-        if frame.t >= first.t - 0.5 {
+    follow(config, &mut points, history.iter().rev());
+    points.reverse();
+    points
+}
+
+/// Follows the path through frames in the order given.
+fn follow<'a>(
+    config: &TrackerConfig,
+    points: &mut Vec<Point>,
+    frames: impl Iterator<Item = &'a FramePoints>,
+) {
+    let Some(start) = points.last().copied() else {
+        return;
+    };
+    let sense = points
+        .first()
+        .map_or(1.0, |p| if p.t <= start.t { 1.0 } else { -1.0 });
+    for frame in frames {
+        let Some(last) = points.last().copied() else {
+            return;
+        };
+        let ahead = sense * (frame.t - last.t);
+        if ahead < 0.5 {
             continue;
         }
-        if first.t - frame.t > f64::from(config.gap_frames_max) {
-            break;
+        if ahead > f64::from(config.gap_frames_max) {
+            return;
         }
         let from = points.len().saturating_sub(LOOK_AHEAD);
         let Some(curve) = local_curve(points.get(from..).unwrap_or(&[])) else {
-            break;
+            return;
         };
         let best = frame
             .points
             .iter()
-            .filter_map(|p| gain(&curve, frame.t, first, p).map(|gain| (gain, p)))
+            .filter_map(|p| gain(&curve, frame.t, &last, p).map(|gain| (gain, p)))
             .max_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((_, point)) = best {
             points.push(*point);
         }
     }
-    points.reverse();
-    points
 }
 
 /// Drops points off the smooth path, worst first; what is left is the ball in free flight.
@@ -116,7 +250,11 @@ pub fn polish(track: &Track, floor_px: f64) -> Option<Track> {
         )?;
         let excess = |s: &Sample| -> f64 {
             let miss: Vector2<f64> = s.position_px - curve.position(s.t);
-            miss.norm() / s.variance_px2.sqrt()
+            let allowed = s.variance_px2.sqrt();
+            if floor_px < CENTROID_FLOOR_PX && s.variance_px2 > UNREFINED.0 + floor_px * floor_px {
+                return miss.norm() / allowed.min(UNREFINED.1 / OUTLIER_SIGMAS);
+            }
+            miss.norm() / allowed
         };
         let worst = samples
             .iter()

@@ -10,6 +10,8 @@ use crate::scene::Detection;
 const LOOK_BACK: usize = 10;
 /// Departure of a real path from the local parabola, pixels.
 const MODEL_SIGMA_PX: f64 = 0.4;
+/// σ of that pull, as a share of the radius.
+const LIGHT_OFFSET_OF_RADIUS: f64 = 0.3;
 /// Gate in standard deviations.
 const GATE_SIGMAS: f64 = 4.0;
 /// A gate is never wider than this, pixels.
@@ -161,10 +163,16 @@ pub fn local_curve(points: &[Point]) -> Option<Curve> {
     Curve::fit(&samples, stiffness)
 }
 
+/// The light's pull on a centroid as the track knows the ball's size: where one side of the ball has the
+/// background's level, the other side's centroid lies two thirds of the radius off.
+pub fn light_variance_px2(last: &Point, point: &Point) -> f64 {
+    (LIGHT_OFFSET_OF_RADIUS * last.detection.radius_px.max(point.detection.radius_px)).powi(2)
+}
+
 /// Gain in score from continuing a path, fitted as `curve`, with `point`; `None` outside the gate.
 pub fn gain(curve: &Curve, t: f64, last: &Point, point: &Point) -> Option<f64> {
     let miss = (point.position() - curve.position(t)).norm();
-    let variance = curve.variance_px2(t) + point.sample().variance_px2;
+    let variance = curve.variance_px2(t) + point.sample().variance_px2 + light_variance_px2(last, point);
     let sigmas = miss / variance.sqrt();
     if miss > GATE_MAX_PX || sigmas > GATE_SIGMAS {
         return None;

@@ -14,5 +14,5 @@ mod tracker;
 
 pub use config::TrackerConfig;
 pub use ending::polish;
-pub use shape::{TrackKind, TrackShape, TrackedBall};
+pub use shape::{TrackKind, TrackShape, TrackedBall, vote};
 pub use tracker::{Tracker, TrackerCounters};

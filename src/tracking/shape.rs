@@ -7,6 +7,12 @@ use crate::scene::Track;
 /// Largest rms distance of a ball's points from a smooth curve, pixels.
 const ROUGHNESS_MAX_PX: f64 = 1.5;
 
+/// Balls fly the same way when the cosine between them is above this, and are of one size within this log ratio.
+const SAME_WAY_COSINE: f64 = 0.5;
+const SAME_SIZE_LOG: f64 = 0.6;
+/// Points over which the peak speed is measured.
+const PEAK_POINTS: usize = 8;
+
 /// What kind of movement a track is, by its shape alone.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TrackKind {
@@ -31,6 +37,8 @@ pub struct TrackShape {
     pub span_s: f64,
     /// Mean velocity, pixels per second.
     pub velocity_px_per_s: [f64; 2],
+    /// Largest speed over eight points, pixels per second.
+    pub peak_speed_px_per_s: f64,
     /// Median radius, pixels.
     pub radius_px: f64,
     /// Rms distance from a smooth curve, pixels.
@@ -86,28 +94,98 @@ impl TrackShape {
         Some(Self {
             span_s,
             velocity_px_per_s: [velocity.x, velocity.y],
+            peak_speed_px_per_s: peak_speed(&samples),
             radius_px,
             roughness_px: (squares / count).sqrt(),
             middle_px: [middle.x, middle.y],
         })
     }
 
-    /// Mean speed across the line of sight in ball radii per second.
+    /// Largest speed across the line of sight in ball radii per second.
     pub fn speed_radii_per_s(&self) -> f64 {
+        self.peak_speed_px_per_s / self.radius_px.max(0.1)
+    }
+
+    /// First to last point in ball radii.
+    pub fn path_radii(&self) -> f64 {
         let [vx, vy] = self.velocity_px_per_s;
-        vx.hypot(vy) / self.radius_px.max(0.1)
+        vx.hypot(vy) * self.span_s / self.radius_px.max(0.1)
     }
 
     /// The kind this shape alone allows.
     pub fn kind(&self, config: &TrackerConfig) -> TrackKind {
         if self.roughness_px > ROUGHNESS_MAX_PX {
             TrackKind::Rough
-        } else if self.span_s < config.span_min_s {
+        } else if self.span_s < config.span_min_s || self.path_radii() < config.path_radii_min {
             TrackKind::Short
         } else if self.speed_radii_per_s() < config.speed_radii_per_s_min {
             TrackKind::Slow
         } else {
             TrackKind::Pitch
         }
+    }
+}
+
+/// Largest speed over [`PEAK_POINTS`] points.
+fn peak_speed(samples: &[Sample]) -> f64 {
+    samples
+        .windows(PEAK_POINTS.min(samples.len()).max(2))
+        .filter_map(|stretch| {
+            let (first, last) = (stretch.first()?, stretch.last()?);
+            Some((last.position_px - first.position_px).norm() / (last.t - first.t).max(1e-9))
+        })
+        .fold(0.0, f64::max)
+}
+
+/// Which of these shapes of one camera go with its pitches: most balls, and the fast ones most of all, fly the
+/// same way at about the same size. `false`: a throw back, a pick-off, or something else that is smooth.
+pub fn vote(shapes: &[TrackShape]) -> Vec<bool> {
+    let direction = |s: &TrackShape| {
+        let [vx, vy] = s.velocity_px_per_s;
+        let speed = vx.hypot(vy).max(1e-9);
+        [vx / speed, vy / speed]
+    };
+    let alike = |a: &TrackShape, b: &TrackShape| {
+        let (u, v) = (direction(a), direction(b));
+        let size = (a.radius_px.max(0.1) / b.radius_px.max(0.1)).ln().abs();
+        u[0] * v[0] + u[1] * v[1] > SAME_WAY_COSINE && size < SAME_SIZE_LOG
+    };
+    let support = |a: &TrackShape| -> f64 {
+        let friends = shapes.iter().filter(|b| alike(a, b));
+        friends.map(|b| b.path_radii() * b.speed_radii_per_s()).sum()
+    };
+    let leader = shapes.iter().max_by(|a, b| support(a).total_cmp(&support(b)));
+    shapes
+        .iter()
+        .map(|s| leader.is_some_and(|l| alike(l, s)))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shape(vx: f64, vy: f64, radius_px: f64) -> TrackShape {
+        TrackShape {
+            span_s: 0.45,
+            velocity_px_per_s: [vx, vy],
+            peak_speed_px_per_s: vx.hypot(vy),
+            radius_px,
+            roughness_px: 0.1,
+            middle_px: [900.0, 400.0],
+        }
+    }
+
+    #[test]
+    fn pitches_outvote_throws_back_and_small_things() {
+        let shapes = [
+            shape(-3300.0, 250.0, 3.2),
+            shape(1700.0, -10.0, 3.3),
+            shape(-2500.0, 300.0, 3.2),
+            shape(1800.0, 40.0, 3.3),
+            shape(-800.0, 0.0, 1.1),
+        ];
+        assert_eq!(vote(&shapes), [true, false, true, false, false]);
+        assert_eq!(vote(&shapes[..1]), [true]);
     }
 }

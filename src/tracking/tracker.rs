@@ -269,6 +269,13 @@ impl Tracker {
             return;
         };
         let (points, mut ball) = ball;
+        let known = |recent: &Vec<Point>| {
+            let both = points.iter().filter(|p| recent.iter().any(|q| q.same(p))).count();
+            both as f64 > SHARED_MAX * points.len() as f64
+        };
+        if self.recent.iter().any(known) {
+            return;
+        }
         if ball.kind == TrackKind::Pitch && self.companions(&points) >= COMPANIONS_MIN {
             ball.kind = TrackKind::Group;
         }

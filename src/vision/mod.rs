@@ -1,9 +1,11 @@
 //! The only room that says `opencv`; no `Mat` leaves it.
 
+mod difference;
 mod essential;
 pub mod image_files;
 mod resection;
 
+pub use difference::DifferenceBaseline;
 pub use essential::five_point;
 pub use resection::resection_candidates;
 

@@ -1,0 +1,126 @@
+//! The fit on painted balls whose centre is known.
+
+use super::*;
+use crate::detection::painter::{Ball, Canvas};
+use crate::scene::Frame;
+
+struct Case {
+    radius: f64,
+    streak: f64,
+    noise: f32,
+    shade: f64,
+    to_light: [f64; 3],
+}
+
+/// Bias and rms along and across the motion over sub-pixel places, against the painter's truth, and the mean
+/// squared error over its covariance.
+fn errors(case: &Case, sigma_edge: f64) -> ([f64; 2], [f64; 2], f64, f64, Shared, f64) {
+    let stand = Canvas::stand(64, 64, 5, 30.0);
+    let edge = Edge::new(sigma_edge);
+    let angle = 0.3f64;
+    let direction = Vector2::new(angle.cos(), angle.sin());
+    let mut truths = Vec::new();
+    let mut frames: Vec<[Frame; 3]> = Vec::new();
+    for trial in 0..60u64 {
+        let centre = [
+            31.0 + 0.137 * (trial % 13) as f64,
+            32.0 + 0.211 * (trial % 7) as f64,
+        ];
+        truths.push(Vector2::new(centre[0], centre[1]));
+        let mut canvas = stand.clone();
+        canvas.ball(&Ball {
+            centre,
+            streak: [case.streak * direction.x, case.streak * direction.y],
+            radius: case.radius,
+            light: 200.0,
+            shade: case.shade,
+            to_light: case.to_light,
+        });
+        frames.push([
+            canvas.frame(trial, 175.0, case.noise),
+            stand.frame(1000 + trial, 175.0, case.noise),
+            stand.frame(2000 + trial, 175.0, case.noise),
+        ]);
+    }
+    let mut pictures: Vec<Picture> = frames
+        .iter()
+        .zip(&truths)
+        .enumerate()
+        .map(|(i, ([c, a, b], truth))| {
+            let patch = Patch {
+                left: 0,
+                top: 0,
+                width: 64,
+                current: c.bytes(),
+                one: a.bytes(),
+                other: b.bytes(),
+                difference_sigma: f64::from(case.noise) * 1.414,
+                radius_px: case.radius,
+            };
+            let start = PictureStart {
+                centre_px: truth + Vector2::new(0.5, -0.6),
+                streak_px: direction * case.streak,
+                radius_px: case.radius * 1.1,
+                place: i as f64 / 59.0 - 0.5,
+            };
+            Picture::new(&patch, &start, &edge).unwrap()
+        })
+        .collect();
+    let mut shared = Shared::start(0.75 * case.radius, 0.03);
+    fit_shared(&mut pictures, &mut shared, &edge, 10).unwrap();
+    shared.release_light();
+    let (covariance, cost) = fit_shared(&mut pictures, &mut shared, &edge, 15).unwrap();
+    let (mut sum, mut squares, mut n, mut chi, mut nees) = ([0.0; 2], [0.0; 2], 0.0, 0.0, 0.0);
+    for (picture, truth) in pictures.iter_mut().zip(&truths) {
+        let ball = fit_centre(picture, &shared, &covariance, &edge).unwrap();
+        let off = ball.centre_px - truth;
+        let parts = [off.dot(&direction), off.y * direction.x - off.x * direction.y];
+        for i in 0..2 {
+            sum[i] += parts[i];
+            squares[i] += parts[i] * parts[i];
+        }
+        nees += (off.transpose() * ball.covariance_px2.try_inverse().unwrap() * off)[0] / 2.0;
+        chi += ball.chi2;
+        n += 1.0;
+    }
+    (
+        sum.map(|s| s / n),
+        squares.map(|s| f64::sqrt(s / n)),
+        chi / n,
+        nees / n,
+        shared,
+        cost,
+    )
+}
+
+#[test]
+fn the_centre_has_no_bias_from_the_light() {
+    let mut cases = 0;
+    for (shade, to_light) in [(60.0, [0.3, -1.0, -0.5]), (100.0, [0.5, -1.0, -1.0])] {
+        for (radius, streak) in [(2.2, 4.0), (3.0, 1.0), (3.0, 6.0)] {
+            let case = Case {
+                radius,
+                streak,
+                noise: 2.0,
+                shade,
+                to_light,
+            };
+            let (bias, rms, chi2, nees, shared, cost) = errors(&case, 0.3);
+            println!(
+                "shade {shade} radius {radius} streak {streak}: bias {bias:.3?} rms {rms:.3?} chi2 {chi2:.2} \
+                 nees {nees:.2} cost {cost:.0} shared {:.2?}",
+                shared.values.as_slice()
+            );
+            assert!(
+                bias.iter().all(|b| b.abs() < 0.07),
+                "bias {bias:?} px, radius {radius}, streak {streak}"
+            );
+            assert!(
+                rms.iter().all(|r| *r < 0.1),
+                "rms {rms:?} px, radius {radius}, streak {streak}"
+            );
+            cases += 1;
+        }
+    }
+    assert_eq!(cases, 6);
+}
