@@ -16,7 +16,7 @@ Examples:
   pitchd evaluate detection /tmp/hard/result /tmp/hard/truth
   pitchd evaluate detection --scenario config/scenario/hard.toml --pictures /tmp/misses
 
-RESULT is an output folder of `replay` (its tracks/ are scored) or a folder of track files; TRUTH holds
+RESULT is an output folder of `replay` (its tracks/ are scored) or a folder of track files; TRUTH holds \
 truth.json and <camera>.csv. With --scenario the frames are rendered, searched and scored in one go.";
 
 /// Side of a picture of a miss, pixels.

@@ -12,7 +12,7 @@ Example:
   pitchd solve drone/tracks --rig drone/rig.toml --motion free --out result
   pitchd evaluate trajectory result drone/truth.csv
 
-The truth has a header line and columns t (seconds), x, y, z, in any world, scale and clock: the best
+The truth has a header line and columns t (seconds), x, y, z, in any world, scale and clock: the best \
 similarity and time shift come first. Judge by the rows and the time covered as well as by the error.";
 
 /// Arguments of `pitchd evaluate trajectory`.

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use anyhow::bail;
 use clap::ValueEnum;
 
+use super::solving::Plane;
 use crate::export::statcast::{self, PlatePlane};
 use crate::export::{results, trackman};
 
@@ -15,7 +16,7 @@ Examples:
   pitchd export /tmp/pitches --format trackman > trackman.csv
   pitchd export /tmp/pitches/pitches.jsonl --format jsonl --out copy.jsonl
 
-statcast: the public file's columns, units and order; the column plate_plane says where plate_x and plate_z are
+statcast: the public file's columns, units and order; the column plate_plane says where plate_x and plate_z are \
 stated (front: 17/12 ft, as the public file through 2025; middle: 8.5/12 ft, as from 2026).
 trackman: TrackMan V3 columns, units and signs (PlateLocSide, RelSide, HorzBreak have the sign of −x).
 jsonl: one pitch a line, as pitchd itself keeps them.";
@@ -47,24 +48,6 @@ pub enum Format {
     Trackman,
     /// One JSON object a line.
     Jsonl,
-}
-
-/// Planes of the plate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Plane {
-    /// y = 17/12 ft.
-    Front,
-    /// y = 8.5/12 ft.
-    Middle,
-}
-
-impl From<Plane> for PlatePlane {
-    fn from(plane: Plane) -> Self {
-        match plane {
-            Plane::Front => Self::Front,
-            Plane::Middle => Self::Middle,
-        }
-    }
 }
 
 /// Runs it.

@@ -15,11 +15,11 @@ use crate::scene::{CameraId, CameraSetup, Rig};
 const AFTER_HELP: &str = "\
 A camera's PATH is a folder of images (PGM, PNG, TIFF, JPEG; 8 bit, colour becomes grey) or a video file.
 Times: PATH/timestamps.csv with the columns frame,timestamp_ns (middle of the exposure by the camera's stamps;
-for a video NAME.timestamps.csv or timestamps.csv beside it), or --fps. The number in an image's name is its
+for a video NAME.timestamps.csv or timestamps.csv beside it), or --fps. The number in an image's name is its \
 frame number; when the names hold none, images by name go with the rows by frame number.
 
 Example:
-  pitchd import sessions/monday --rig rig.toml --camera first=frames/first --camera third=frames/third";
+  pitchd import monday --rig rig.toml --camera first=frames/first --camera third=frames/third";
 
 /// Arguments of `import`.
 #[derive(Debug, clap::Args)]

@@ -7,7 +7,7 @@ use anyhow::bail;
 use crate::recording::{CameraRecording, SessionReader};
 
 const AFTER_HELP: &str = "\
-Without --verify only the ends of the files are looked at; with it every frame is read and its checksum
+Without --verify only the ends of the files are looked at; with it every frame is read and its checksum \
 compared. Exit code 1 when anything is damaged.
 
 Example:

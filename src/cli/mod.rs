@@ -29,7 +29,7 @@ Exit codes: 0 done, 1 failed (or done with losses that were named), 2 wrong usag
 #[command(name = "pitchd", version, after_help = AFTER_HELP, arg_required_else_help = true)]
 pub struct Cli {
     /// More of the log on stderr: -v info, -vv debug. The variable PITCHD_LOG takes a full filter.
-    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    #[arg(short, long, global = true, display_order = 1000, action = clap::ArgAction::Count)]
     pub verbose: u8,
     /// What to do.
     #[command(subcommand)]

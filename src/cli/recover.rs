@@ -7,7 +7,7 @@ use anyhow::bail;
 use crate::recording::repair_session;
 
 const AFTER_HELP: &str = "\
-A .part file (its recorder was killed) gets its end and its name; a damaged file is written anew from the frames
+A .part file (its recorder was killed) gets its end and its name; a damaged file is written anew from the frames \
 that are left and kept with the ending .damaged. Exit code 1 when frames are lost for good; they are named.
 
 Example:

@@ -12,7 +12,7 @@ Examples:
   pitchd solve /tmp/three/tracks --rig /tmp/three/rig.toml --out /tmp/three/result
   pitchd simulate config/scenario/hard.toml --frames --seed 7 --out /tmp/hard
 
-DIR gets rig.toml (landmarks clicked with noise, no poses), truth/, and tracks/<camera>.csv; with --frames also
+DIR gets rig.toml (landmarks clicked with noise, no poses), truth/, and tracks/<camera>.csv; with --frames also \
 frames/<camera>/NNNNNN.pgm and timestamps.csv, which `pitchd import` reads.";
 
 /// Arguments of `pitchd simulate`.

@@ -21,13 +21,25 @@ pub enum Method {
     Kim2019,
 }
 
-/// Plane at which the printed plate location is stated.
+/// Groups of tracks that became no pitch, named on the terminal; the report names all.
+const LEFT_OUT_PRINTED: usize = 4;
+
+/// Plane of the plate at which a location is stated.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Plane {
     /// Front of the plate, y = 17/12 ft (Statcast through 2025).
     Front,
     /// Middle of the plate, y = 8.5/12 ft (Statcast from 2026).
     Middle,
+}
+
+impl From<Plane> for PlatePlane {
+    fn from(plane: Plane) -> Self {
+        match plane {
+            Plane::Front => Self::Front,
+            Plane::Middle => Self::Middle,
+        }
+    }
 }
 
 /// Options of every command that turns tracks into pitches.
@@ -71,10 +83,8 @@ impl SolvingArgs {
         };
         let mut batch = solve_tracks(rig, tracks, &options)?;
         batch.warnings.splice(0..0, earlier_warnings);
-        let plane = match self.plane {
-            Plane::Front => PlatePlane::Front,
-            Plane::Middle => PlatePlane::Middle,
-        };
+        let all_warnings = [batch.warnings.as_slice(), &batch.left_out].concat();
+        let plane = self.plane.into();
         let report = results::write(
             &self.out,
             &ReportInput {
@@ -83,7 +93,7 @@ impl SolvingArgs {
                 calibration: &batch.calibration,
                 pitches: &batch.pitches,
                 residuals: &batch.residuals,
-                warnings: &batch.warnings,
+                warnings: &all_warnings,
                 facts,
                 plane,
             },
@@ -153,6 +163,15 @@ impl SolvingArgs {
     fn print(&self, rig: &Rig, batch: &Batch, plane: PlatePlane, report: &Path) -> anyhow::Result<()> {
         for warning in batch.calibration.warnings.iter().chain(&batch.warnings) {
             eprintln!("pitchd: warning: {warning}");
+        }
+        for left in batch.left_out.iter().take(LEFT_OUT_PRINTED) {
+            eprintln!("pitchd: warning: {left}");
+        }
+        if let Some(more @ 1..) = batch.left_out.len().checked_sub(LEFT_OUT_PRINTED) {
+            eprintln!(
+                "pitchd: warning: {more} more groups of tracks became no pitch: {} tells",
+                report.display()
+            );
         }
         if self.json {
             print!("{}", results::jsonl(&batch.pitches)?);

@@ -60,6 +60,8 @@ pub struct Batch {
     pub residuals: Vec<Residual>,
     /// What a person must know.
     pub warnings: Vec<String>,
+    /// Groups of tracks that became no pitch, and why.
+    pub left_out: Vec<String>,
 }
 
 /// Calibrates if need be and solves every pitch.
@@ -79,6 +81,9 @@ pub fn solve_tracks(rig: &Rig, tracks: &[Track], options: &BatchOptions) -> Resu
         });
     }
     let mut warnings = silent_cameras(rig, tracks);
+    let mut left_out = Vec::new();
+    let seeing = rig.only(|c| has_points(&c.id, tracks));
+    let rig = seeing.as_ref().unwrap_or(rig);
     let (calibration, solved) = match &options.calibration {
         Some(calibration) => {
             let tracks = of_calibrated(calibration, tracks, &mut warnings);
@@ -101,11 +106,13 @@ pub fn solve_tracks(rig: &Rig, tracks: &[Track], options: &BatchOptions) -> Resu
                     100.0 * w.kept_share
                 )
             }));
-            warnings.extend(
+            // A group whose tracks were all taken out has been told of above.
+            left_out.extend(
                 outcome
                     .unsolved
                     .iter()
                     .filter_map(|u| Some((outcome.pitches.get(u.pitch)?, u)))
+                    .filter(|(group, _)| !group.tracks.is_empty())
                     .map(|(tracks, u)| format!("{}: not solved: {}", name_of(tracks), u.reason)),
             );
             (outcome.calibration.clone(), pair_up(outcome))
@@ -117,6 +124,7 @@ pub fn solve_tracks(rig: &Rig, tracks: &[Track], options: &BatchOptions) -> Resu
         flights: Vec::new(),
         residuals: Vec::new(),
         warnings,
+        left_out,
     };
     batch.fly(rig, solved);
     Ok(batch)
@@ -136,9 +144,23 @@ fn pair_up(outcome: CalibrationOutcome) -> Vec<Group> {
 fn silent_cameras(rig: &Rig, tracks: &[Track]) -> Vec<String> {
     rig.cameras
         .iter()
-        .filter(|c| !tracks.iter().any(|t| t.camera == c.id && !t.points.is_empty()))
-        .map(|c| format!("camera {} has no track of a ball: going on without it", c.id))
+        .filter(|c| !has_points(&c.id, tracks))
+        .map(|c| {
+            let is_reference = rig.reference_camera().id == c.id;
+            let heir = rig.cameras.iter().find(|h| has_points(&h.id, tracks));
+            match heir.filter(|_| is_reference) {
+                Some(heir) => format!(
+                    "camera {}, the reference, has no track of a ball: times and delays are by camera {}",
+                    c.id, heir.id
+                ),
+                None => format!("camera {} has no track of a ball: going on without it", c.id),
+            }
+        })
         .collect()
+}
+
+fn has_points(camera: &CameraId, tracks: &[Track]) -> bool {
+    tracks.iter().any(|t| t.camera == *camera && !t.points.is_empty())
 }
 
 fn of_calibrated(calibration: &Calibration, tracks: &[Track], warnings: &mut Vec<String>) -> Vec<Track> {
@@ -232,12 +254,12 @@ impl Batch {
     }
 
     fn leave_out(&mut self, group: &PitchTracks, error: &FlightError) {
-        self.warnings
+        self.left_out
             .push(format!("{}: not solved: {error}", name_of(group)));
     }
 
     fn not_a_pitch(&mut self, group: &PitchTracks, error: &NumbersError) {
-        self.warnings
+        self.left_out
             .push(format!("{}: a flight, but no pitch: {error}", name_of(group)));
     }
 }

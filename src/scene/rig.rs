@@ -127,4 +127,19 @@ impl Rig {
     pub fn reference_camera(&self) -> &CameraSetup {
         &self.cameras[self.reference]
     }
+    /// The rig of some of its cameras. Where the reference is not among them the first one kept takes its place;
+    /// `None` where none is kept.
+    pub fn only(&self, kept: impl Fn(&CameraSetup) -> bool) -> Option<Self> {
+        let cameras: Vec<_> = self.cameras.iter().filter(|c| kept(c)).cloned().collect();
+        let reference = self.cameras.get(self.reference).map(|c| &c.id);
+        let reference = cameras.iter().position(|c| Some(&c.id) == reference).unwrap_or(0);
+        let has = |id: &CameraId| cameras.iter().any(|c| c.id == *id);
+        let measured = |d: &&DistanceMeasurement| has(&d.between.0) && has(&d.between.1);
+        (!cameras.is_empty()).then(|| Self {
+            site: self.site.clone(),
+            reference,
+            distances: self.distances.iter().filter(measured).cloned().collect(),
+            cameras: cameras.clone(),
+        })
+    }
 }
