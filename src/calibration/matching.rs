@@ -18,9 +18,10 @@ const FIRST_MISFIT_PX: f64 = 6.0;
 const SHARE_NEEDED: f64 = 0.7;
 /// Balls in play slower or faster than this are no pitch, m/s.
 const SPEED_MPS: (f64, f64) = (12.0, 55.0);
-/// Drag and lift farther than this from their priors are no ball's, in prior sigmas: a wrong pair needs a
-/// hundred.
-const PRIOR_SIGMAS: f64 = 5.0;
+/// Cd farther than this from the prior's is no ball's, and lift of more prior sigmas is none's: a wrong pair
+/// needs twenty times as much.
+const DRAG_MARGIN: f64 = 0.2;
+const LIFT_SIGMAS: f64 = 5.0;
 
 /// One track with its camera and its span in true time.
 struct Seen<'a> {
@@ -214,9 +215,9 @@ pub fn implausible(path: &Trajectory, options: &FlightOptions) -> Option<String>
         return Some(format!("its speed is {speed:.1} m/s"));
     }
     let aero = path.aerodynamics();
-    let drag = (aero.drag_coefficient - options.prior.drag_coefficient).abs() / options.prior.drag_sigma;
+    let drag = (aero.drag_coefficient - options.prior.drag_coefficient).abs();
     let lift = aero.lift.norm() / options.prior.lift_sigma;
-    if drag > PRIOR_SIGMAS || lift > PRIOR_SIGMAS {
+    if drag > DRAG_MARGIN || lift > LIFT_SIGMAS {
         return Some(format!(
             "its drag and lift (Cd {:.2}, CL {:.2}) are no ball's",
             aero.drag_coefficient,

@@ -5,7 +5,7 @@ use nalgebra::{Matrix2x3, RowVector3, SMatrix, SVector, Vector2};
 use super::equations::Sighting;
 use super::physics::{Aerodynamics, Physics, TYPICAL_LIFT_EXPONENT};
 use super::sighting::CameraModel;
-use super::trajectory::{BasisRow, TERMS, Trajectory};
+use super::trajectory::{BasisRow, TERMS, TYPICAL_DRAG, Trajectory};
 
 /// Coefficients of the start: three per axis.
 const UNKNOWNS: usize = 9;
@@ -98,7 +98,7 @@ pub fn linear_start(
         }
     }
     let aerodynamics = Aerodynamics {
-        drag_coefficient: 0.35,
+        drag_coefficient: TYPICAL_DRAG,
         lift: nalgebra::Vector3::zeros(),
         lift_exponent: TYPICAL_LIFT_EXPONENT,
     };
