@@ -29,9 +29,10 @@ pub const CAMERA_KINDS: [ParameterKind; CAMERA_COLUMNS] = [
 /// ∂pixel/∂(camera unknowns).
 pub type CameraJacobian = SMatrix<f64, 2, CAMERA_COLUMNS>;
 
-/// What no residual shows, added to every point, pixels: lens models, the light on a ball and the grid of the
-/// sensor move all points of a track alike. On rendered frames fitted centres scatter by 0.02 px while whole
-/// tracks lie off by up to 0.1 px; without this the landmarks would count for nothing beside them.
+/// What no residual shows, added to every point whose covariance comes with it, pixels: the light on a ball and
+/// the grid of the sensor move all points of a track alike. On rendered frames fitted centres scatter by 0.02 px
+/// while whole tracks lie off by up to 0.1 px; without this the landmarks would count for nothing beside them.
+/// Points that claim nothing are as noisy as their residuals.
 const UNSEEN_SIGMA_PX: f64 = 0.04;
 
 /// How noisy a camera's points are.
@@ -154,10 +155,9 @@ impl Sight {
         let noise = &camera.noise;
         let along = noise.jitter_s * velocity;
         let covariance = match point.covariance_px2 {
-            Some(c) => noise.variance_factor * c,
+            Some(c) => noise.variance_factor * c + Matrix2::identity() * (UNSEEN_SIGMA_PX * UNSEEN_SIGMA_PX),
             None => Matrix2::identity() * (noise.sigma_px * noise.sigma_px),
-        } + along * along.transpose()
-            + Matrix2::identity() * (UNSEEN_SIGMA_PX * UNSEEN_SIGMA_PX);
+        } + along * along.transpose();
         let information = covariance.try_inverse().unwrap_or_else(Matrix2::zeros);
         let principal = Vector2::new(camera.intrinsics.cx_px, camera.intrinsics.cy_px);
         Ok(Self {
