@@ -34,6 +34,9 @@ struct LandmarkGroup {
     world_m: Point3<f64>,
     world_sigma_m: f64,
     views: Vec<View>,
+    /// Lower Cholesky factor of the views' covariance, as the cameras stood when it was taken: held while the
+    /// cameras move, so that the cost has no slope that its equations lack.
+    lower: DMatrix<f64>,
 }
 
 /// A Gaussian prior on one unknown's present value.
@@ -121,7 +124,15 @@ impl CameraTerms {
             let pose = &cameras[problem.reference].pose;
             terms.gauge = Some((problem.reference, pose.rotation));
         }
+        terms.weigh(cameras);
         terms
+    }
+
+    /// Weighs every landmark as the cameras stand now.
+    pub(super) fn weigh(&mut self, cameras: &[CameraModel]) {
+        for group in &mut self.landmarks {
+            group.weigh(cameras);
+        }
     }
 
     fn add_landmark(&mut self, camera: usize, mark: &crate::scene::Landmark) {
@@ -142,6 +153,7 @@ impl CameraTerms {
                 world_m: at.world_m,
                 world_sigma_m: at.world_sigma_m,
                 views: vec![view],
+                lower: DMatrix::zeros(0, 0),
             }),
         }
     }
@@ -303,28 +315,40 @@ impl LandmarkGroup {
         ))
     }
 
+    /// Takes the views' covariance at the cameras as they stand; a view from behind has its click's alone.
+    fn weigh(&mut self, cameras: &[CameraModel]) {
+        let n = 2 * self.views.len();
+        let mut by_world = DMatrix::zeros(n, 3);
+        let mut covariance = DMatrix::zeros(n, n);
+        for (v, view) in self.views.iter().enumerate() {
+            let seen = self.view_residual(cameras, view);
+            for k in 0..2 {
+                covariance[(2 * v + k, 2 * v + k)] = view.sigma_px * view.sigma_px;
+                if let Some((_, world)) = &seen {
+                    by_world.row_mut(2 * v + k).copy_from(&world.row(k));
+                }
+            }
+        }
+        let clicks = covariance.map(f64::sqrt);
+        covariance += self.world_sigma_m.powi(2) * &by_world * by_world.transpose();
+        self.lower = covariance.cholesky().map_or(clicks, |c| c.l());
+    }
+
     fn block(&self, cameras: &[CameraModel], columns: &[Column]) -> Option<Block> {
         let n = 2 * self.views.len();
         let mut residual = DVector::zeros(n);
         let mut rows = DMatrix::zeros(n, columns.len());
-        let mut by_world = DMatrix::zeros(n, 3);
-        let mut covariance = DMatrix::zeros(n, n);
         for (v, view) in self.views.iter().enumerate() {
             let camera = &cameras[view.camera];
             let x = camera.pose.transform(&self.world_m);
             let seen = camera.intrinsics.project_with_jacobian(&x).ok()?;
             let j = seen.by_camera_point;
             let turn = -j * x.cross_matrix();
-            let world = j * camera.pose.rotation.matrix();
             let r = seen.pixel.vector() - view.pixel.vector();
             let scaled = seen.pixel.vector()
                 - nalgebra::Vector2::new(camera.intrinsics.cx_px, camera.intrinsics.cy_px);
             for k in 0..2 {
                 residual[2 * v + k] = r[k];
-                covariance[(2 * v + k, 2 * v + k)] = view.sigma_px * view.sigma_px;
-                for axis in 0..3 {
-                    by_world[(2 * v + k, axis)] = world[(k, axis)];
-                }
                 for (i, column) in columns.iter().enumerate() {
                     if column.camera == view.camera {
                         rows[(2 * v + k, i)] = match column.kind {
@@ -339,8 +363,7 @@ impl LandmarkGroup {
                 }
             }
         }
-        covariance += self.world_sigma_m.powi(2) * &by_world * by_world.transpose();
-        let lower = covariance.cholesky()?.l();
+        let lower = &self.lower;
         Some(Block {
             residual: lower.solve_lower_triangular(&residual)?,
             rows: lower.solve_lower_triangular(&rows)?,

@@ -191,6 +191,7 @@ pub fn finish(
         }
         wrong.extend(found);
     }
+    problem.terms.weigh(&state.cameras);
     free_wobbling(&problem, &mut state)?;
     settle(&problem, &mut state, options)?;
     free_wobbling(&problem, &mut state)?;
