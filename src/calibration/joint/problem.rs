@@ -89,7 +89,7 @@ impl JointProblem {
             };
             let at = |values: &[f64]| values.get(index).copied().unwrap_or(0.0);
             let stated_ns = start.skew_epoch_ns.get(index).copied().unwrap_or(0);
-            let skew_epoch_ns = middle_stamp(pitches, &setup.id);
+            let skew_epoch_ns = first_stamp(pitches, &setup.id);
             let clock_skew_ppm = at(&start.clock_skew_ppm);
             let since_s = (skew_epoch_ns - stated_ns) as f64 / crate::time::NANOS_PER_SECOND;
             rig_cameras.push(index);
@@ -243,13 +243,14 @@ fn stamp_span_s(pitches: &[PitchTracks]) -> f64 {
     (last - first) as f64 / crate::time::NANOS_PER_SECOND
 }
 
-/// Mean stamp of a camera: there its delay is least tied to its skew.
-fn middle_stamp(pitches: &[PitchTracks], camera: &CameraId) -> i64 {
-    let own: Vec<i128> = pitches
+/// First stamp of a camera: where its delay is stated. The middle would tie the delay less to the skew, but
+/// whoever compares delays of a session has its beginning at hand.
+fn first_stamp(pitches: &[PitchTracks], camera: &CameraId) -> i64 {
+    pitches
         .iter()
         .flat_map(|p| p.of(camera))
         .filter_map(|t| t.points.first())
-        .map(|p| i128::from(p.stamped.nanos()))
-        .collect();
-    (own.iter().sum::<i128>() / own.len().max(1) as i128) as i64
+        .map(|p| p.stamped.nanos())
+        .min()
+        .unwrap_or(0)
 }
