@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::export::results::Results;
 use crate::scene::{CameraId, Pitch};
+use crate::time::NANOS_PER_SECOND;
 
 /// Truth that cannot be read, or results that have no partner in it.
 #[derive(Debug, thiserror::Error)]
@@ -45,7 +46,21 @@ struct TruthFile {
 struct CameraTruth {
     id: CameraId,
     capture_delay_s: f64,
+    /// Of a truth without them the clock runs true.
+    #[serde(default)]
+    clock_skew_ppm: f64,
+    /// Stamp at which `capture_delay_s` is stated.
+    #[serde(default)]
+    skew_epoch_ns: i64,
     frame_rate_hz: f64,
+}
+
+impl CameraTruth {
+    /// Delay at a stamp of the camera, seconds.
+    fn delay_at_s(&self, stamp_ns: i64) -> f64 {
+        let since_s = (stamp_ns - self.skew_epoch_ns) as f64 / NANOS_PER_SECOND;
+        self.capture_delay_s + 1e-6 * self.clock_skew_ppm * since_s
+    }
 }
 
 #[derive(Deserialize)]
@@ -192,7 +207,8 @@ fn compare(results: &Results, truth: &TruthFile) -> PitchScore {
             let found = calibration.camera(&t.id)?;
             Some(DelayScore {
                 camera: t.id.clone(),
-                error_frames: (found.capture_delay_s - t.capture_delay_s) * t.frame_rate_hz,
+                // Both at the stamp at which the estimate states its own.
+                error_frames: (found.capture_delay_s - t.delay_at_s(found.skew_epoch_ns)) * t.frame_rate_hz,
                 sigma_frames: found.capture_delay_sigma_s * t.frame_rate_hz,
             })
         })
@@ -281,6 +297,18 @@ impl std::fmt::Display for PitchScore {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_drifting_clock_is_compared_at_the_estimate_s_own_stamp() {
+        let truth = r#"{"id": "a", "capture_delay_s": 0.001, "clock_skew_ppm": 20.0,
+                        "skew_epoch_ns": 5000000000, "frame_rate_hz": 175.0}"#;
+        let drifting: CameraTruth = serde_json::from_str(truth).unwrap();
+        // 100 s later: 1 ms + 20e-6 · 100 s = 3 ms.
+        assert!((drifting.delay_at_s(105_000_000_000) - 0.003).abs() < 1e-12);
+        let steady = r#"{"id": "a", "capture_delay_s": 0.001, "frame_rate_hz": 175.0}"#;
+        let steady: CameraTruth = serde_json::from_str(steady).unwrap();
+        assert!((steady.delay_at_s(105_000_000_000) - 0.001).abs() < 1e-12);
+    }
 
     #[test]
     fn the_figures_of_three_errors_by_hand() {
