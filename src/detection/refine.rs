@@ -31,7 +31,7 @@ const STREAK_SCALE_SIGMA: f64 = 0.03;
 /// The first look sees the lit part: the ball is larger by about this.
 const RADIUS_OVER_FIRST_LOOK: f64 = 1.3;
 /// What is left of light and blur in a centre, the same way for a whole track, pixels.
-const SYSTEMATIC_PX: f64 = 0.03;
+const SYSTEMATIC_PX: f64 = 0.015;
 /// A frame this unlike the ball keeps its centroid.
 const CHI2_MAX: f64 = 25.0;
 
