@@ -35,7 +35,7 @@ const SHIFTS_MAX: usize = 2;
 
 /// Weighted sums of |change| over some pixels.
 #[derive(Default)]
-struct Sums {
+pub struct Sums {
     sum: f64,
     first: Vector2<f64>,
     second: Matrix2<f64>,
@@ -45,7 +45,7 @@ struct Sums {
 impl Sums {
     /// Takes a pixel at an offset from the origin. A ball lit from one side may be brighter than the background
     /// on that side and darker on the other: both count.
-    fn add(&mut self, offset: Vector2<f64>, change: i32, floor: f64) {
+    pub fn add(&mut self, offset: Vector2<f64>, change: i32, floor: f64) {
         let weight = f64::from(change.abs()) - floor;
         if weight > 0.0 {
             self.sum += weight;
@@ -55,7 +55,13 @@ impl Sums {
         }
     }
 
-    fn moments(&self, origin: Vector2<f64>, difference_sigma: f64) -> Option<Moments> {
+    /// Sum of the weights, levels.
+    pub fn total(&self) -> f64 {
+        self.sum
+    }
+
+    /// Moments with offsets from `origin`; `None` where nothing changed.
+    pub fn moments(&self, origin: Vector2<f64>, difference_sigma: f64) -> Option<Moments> {
         if self.sum <= 0.0 {
             return None;
         }
@@ -142,20 +148,4 @@ pub fn strongest_near(
             (Vector2::new(x as f64, y as f64), f64::from(sum) / 9.0)
         })
         .max_by(|a, b| a.1.total_cmp(&b.1))
-}
-
-/// The largest change of every second pixel within a square: quick, for large blobs.
-pub fn peak_near(images: &Images<'_>, x: usize, y: usize, half_px: usize) -> Option<(Vector2<f64>, f64)> {
-    let (left, top) = (x.saturating_sub(half_px), y.saturating_sub(half_px));
-    let rows = (top..(y + half_px).min(images.height_px)).step_by(2);
-    let (mut best, mut place) = (0, (x, y));
-    for y in rows {
-        for x in (left..(x + half_px).min(images.width_px)).step_by(2) {
-            let change = images.change(x, y).abs();
-            if change > best {
-                (best, place) = (change, (x, y));
-            }
-        }
-    }
-    (best > 0).then(|| (Vector2::new(place.0 as f64, place.1 as f64), f64::from(best)))
 }

@@ -1,12 +1,13 @@
 //! One camera's detector: takes frames in time order, answers each a few frames later.
 
 use super::blobs::{Blob, BlobFinder, Images};
-use super::centroid::{Moments, moments, peak_near, strongest_near, window_moments};
+use super::centroid::{Moments, moments, strongest_near, window_moments};
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
 use super::error::DetectionError;
 use super::history::History;
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
+use super::movers::MoverSearch;
 use super::patches::PatchPool;
 use super::refine::{BlurChoice, Refinement, refine};
 use super::regions::{REGION_TILES, RegionNoise};
@@ -19,11 +20,10 @@ const LEARN_EVERY_BANDS: usize = 16;
 /// A blob of fewer pixels is noise.
 const AREA_MIN_PX: usize = 4;
 
-/// A blob with a longer side is no ball by itself, but may hold one: its strongest places are candidates.
+/// A blob with a longer side is no ball by itself, but may hold one: the spots in it are candidates.
 const BLOB_SIDE_MAX_PX: usize = 48;
-/// Places looked at in such a blob, and the distance between them.
-const PLACES_IN_BLOB: usize = 6;
-const PLACE_STEP_PX: usize = 16;
+/// Frames before and after that show what moves behind a ball: at most so many.
+const NEAR_FRAMES_MAX: usize = 3;
 /// Large blobs looked into in one frame.
 const LARGE_BLOBS_MAX: usize = 8;
 /// Pixels around a small blob that are looked at too.
@@ -71,6 +71,15 @@ pub struct DetectorCounters {
     pub unanswered: u64,
 }
 
+/// Which frames show what is behind a candidate.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Behind {
+    /// Those `lag_frames` away: the ball is elsewhere.
+    Far,
+    /// Those shortly before and after: what moves behind the ball is nearly where it was.
+    Near,
+}
+
 /// One camera's detector.
 pub struct Detector {
     config: DetectorConfig,
@@ -85,7 +94,8 @@ pub struct Detector {
     tile_max: Vec<u8>,
     tiles: TileMap,
     blobs: BlobFinder,
-    found: Vec<(Detection, Blob)>,
+    movers: MoverSearch,
+    found: Vec<(Detection, Blob, Behind)>,
     expected: Vec<ExpectedBall>,
     detections: Vec<Detection>,
     patches: PatchPool,
@@ -115,6 +125,7 @@ impl Detector {
             tile_max: vec![0; width.div_ceil(TILE_WIDTH_PX)],
             tiles: TileMap::new(width, height),
             blobs: BlobFinder::new(width, Kernels::new(isa)),
+            movers: MoverSearch::new(width, Kernels::new(isa)),
             found: Vec::with_capacity(1024),
             expected: Vec::with_capacity(64),
             patches: PatchPool::new(config.patch_bytes),
@@ -279,6 +290,12 @@ impl Detector {
             one: triple.one.bytes(),
             other: triple.other.bytes(),
         };
+        let step = self.lag.div_ceil(2).min(NEAR_FRAMES_MAX);
+        let near = self.history.near(index, step).map(|(one, other)| Images {
+            one: one.bytes(),
+            other: other.bytes(),
+            ..images
+        });
         self.blobs.find(&images, &self.tiles, &self.noise);
         self.counters.overflows += u64::from(self.blobs.overflowed);
         let sigmas = self.config.threshold_sigmas;
@@ -296,13 +313,19 @@ impl Detector {
             let side = (blob.right - blob.left).max(blob.bottom - blob.top);
             if side > BLOB_SIDE_MAX_PX {
                 large += 1;
-                if large <= LARGE_BLOBS_MAX {
-                    look_into(&images, blob, &self.config, stamp, &mut self.found);
+                if large <= LARGE_BLOBS_MAX
+                    && let Some(near) = &near
+                {
+                    let threshold = (0.5 * sigmas * f64::from(blob.difference_sigma)).clamp(1.0, 254.0) as u8;
+                    let spots = self.movers.find(near, blob, step + 1, threshold);
+                    self.found.extend(spots.filter_map(|(moments, spot)| {
+                        Some((candidate(&self.config, stamp, &moments)?, spot, Behind::Near))
+                    }));
                 }
             } else if let Some(found) =
                 small_ball(&images, blob, side).and_then(|m| candidate(&self.config, stamp, &m))
             {
-                self.found.push((found, *blob));
+                self.found.push((found, *blob, Behind::Far));
             }
         }
         self.expected.clear();
@@ -313,19 +336,23 @@ impl Detector {
                 expected.centre.x.max(0.0) as usize / TILE_WIDTH_PX,
             );
             if let Some(found) = look_at(&images, expected, sigma, &self.config, stamp)
-                && self.found.iter().all(|(other, _)| {
+                && self.found.iter().all(|(other, ..)| {
                     (other.centre.vector() - found.0.centre.vector()).norm() > EXPECTED_APART_PX
                 })
             {
-                self.found.push(found);
+                self.found.push((found.0, found.1, Behind::Far));
             }
         }
         self.found.sort_by(|a, b| b.0.strength.total_cmp(&a.0.strength));
         let extra = self.found.len().saturating_sub(self.config.candidates_max);
         self.counters.candidates_dropped += extra as u64;
         self.found.truncate(self.config.candidates_max);
-        for (detection, blob) in &self.found {
-            self.patches.keep(&images, blob, detection);
+        for (detection, blob, behind) in &self.found {
+            let behind = near
+                .as_ref()
+                .filter(|_| *behind == Behind::Near)
+                .unwrap_or(&images);
+            self.patches.keep(behind, blob, detection);
             self.detections.push(*detection);
         }
         answers.answer(stamp, &self.detections);
@@ -357,37 +384,6 @@ fn small_ball(images: &Images<'_>, blob: &Blob, side_px: usize) -> Option<Moment
     let own = moments(images, blob)?;
     let window_px = 0.5 * side_px as f64 + WINDOW_MARGIN_PX;
     window_moments(images, own.centre_px, window_px, f64::from(blob.difference_sigma)).or(Some(own))
-}
-
-/// The strongest places of a large blob.
-fn look_into(
-    images: &Images<'_>,
-    blob: &Blob,
-    config: &DetectorConfig,
-    stamp: FrameStamp,
-    found: &mut Vec<(Detection, Blob)>,
-) {
-    let half = PLACE_STEP_PX / 2;
-    let mut places: Vec<(nalgebra::Vector2<f64>, f64)> = Vec::with_capacity(64);
-    for y in (blob.top..=blob.bottom).step_by(PLACE_STEP_PX) {
-        for x in (blob.left..=blob.right).step_by(PLACE_STEP_PX) {
-            let (cx, cy) = ((x + half) as f64, (y + half) as f64);
-            places.extend(peak_near(images, cx as usize, cy as usize, half));
-        }
-    }
-    places.sort_by(|a, b| b.1.total_cmp(&a.1));
-    for (place, strength) in places.into_iter().take(PLACES_IN_BLOB) {
-        if strength < config.threshold_sigmas * 0.5 * f64::from(blob.difference_sigma) {
-            break;
-        }
-        found.extend(in_window(
-            images,
-            place,
-            6.0,
-            blob.difference_sigma,
-            (config, stamp),
-        ));
-    }
 }
 
 /// A weak ball where one is expected.

@@ -109,3 +109,11 @@ dispatched!(
     /// See [`kernel::change_mask`].
     change_mask(current: &[u8], before: &[u8], after: &[u8], threshold: u8) -> u64
 );
+dispatched!(
+    /// See [`kernel::widen_range`].
+    widen_range(row: &[u8], bright: &mut [u8], dark: &mut [u8])
+);
+dispatched!(
+    /// See [`kernel::beyond`].
+    beyond(current: &[u8], bright: &mut [u8], dark: &mut [u8], reach: usize, change: &mut [u8])
+);

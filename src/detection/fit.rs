@@ -6,6 +6,7 @@
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
+use super::background::{Observation, observe};
 use super::disc::{
     Edge, Information, LEVEL, LIGHT, OWN, PARAMETERS, Parameters, RADIUS, STREAK_SCALE, Sweep, TERMS, model,
 };
@@ -131,15 +132,6 @@ pub struct Picture {
     say: f64,
 }
 
-/// One pixel to fit.
-#[derive(Clone, Copy)]
-struct Observation {
-    at: Vector2<f64>,
-    value: f64,
-    background: f64,
-    variance: f64,
-}
-
 /// What is known of one frame before the fit.
 #[derive(Debug, Clone, Copy)]
 pub struct PictureStart {
@@ -176,7 +168,7 @@ struct Normal {
 impl Picture {
     /// Selects the pixels and guesses the level; `None` where there is too little to fit.
     pub fn new(patch: &Patch<'_>, start: &PictureStart, edge: &Edge) -> Option<Self> {
-        let (observations, contrast) = observe(patch, start, edge);
+        let (observations, contrast) = observe(patch, start, edge.sigma_px);
         if observations.len() < 12 || contrast < 1.0 {
             return None;
         }
@@ -386,73 +378,6 @@ pub fn fit_centre(
         covariance_px2: total.fixed_view::<2, 2>(0, 0).into_owned(),
         chi2: picture.chi2,
     })
-}
-
-/// The pixels that the ball may reach with what is behind them, and the rms contrast near the centre (a ball
-/// may be brighter than the background on one side and darker on the other).
-fn observe(patch: &Patch<'_>, start: &PictureStart, edge: &Edge) -> (Vec<Observation>, f64) {
-    let sigma = patch.difference_sigma.max(0.6);
-    let noise = 0.5 * sigma * sigma;
-    let reach = 1.3 * start.radius_px + 3.0 * edge.sigma_px + 1.0;
-    let half = start.streak_px * 0.5;
-    let brighter = lift_near(patch, start) >= 0;
-    let mut observations = Vec::with_capacity(patch.current.len());
-    let mut contrast = (0.0, 0.0);
-    let pixels = patch.current.iter().zip(patch.one).zip(patch.other).enumerate();
-    for (i, ((current, one), other)) in pixels {
-        let at = Vector2::new(
-            (patch.left + i % patch.width) as f64,
-            (patch.top + i / patch.width) as f64,
-        );
-        let off = at - start.centre_px;
-        let along = off.dot(&half) / half.norm_squared().max(1e-12);
-        if (off - half * along.clamp(-1.0, 1.0)).norm() > reach {
-            continue;
-        }
-        let (a, b) = (f64::from(*one), f64::from(*other));
-        let apart = (a - b).abs();
-        // The references differ where one of them holds the ball or something that moves: take the one further
-        // from the ball's level, and believe it less.
-        let (background, unsure) = if apart < 3.0 * sigma {
-            (0.5 * (a + b), 0.0)
-        } else if brighter {
-            (a.min(b), 0.35 * apart)
-        } else {
-            (a.max(b), 0.35 * apart)
-        };
-        let value = f64::from(*current);
-        if off.norm() < start.radius_px + 0.5 {
-            contrast = (contrast.0 + (value - background).powi(2), contrast.1 + 1.0);
-        }
-        let saturated = if *current == u8::MAX { 400.0 } else { 0.0 };
-        observations.push(Observation {
-            at,
-            value,
-            background,
-            variance: 1.5 * noise + unsure * unsure + saturated,
-        });
-    }
-    (observations, (contrast.0 / f64::max(contrast.1, 1.0)).sqrt())
-}
-
-/// Sum of the change of the nine pixels around the start: positive for a ball brighter than the background.
-fn lift_near(patch: &Patch<'_>, start: &PictureStart) -> i32 {
-    let x = (start.centre_px.x.max(0.0).round() as usize).saturating_sub(patch.left);
-    let y = (start.centre_px.y.max(0.0).round() as usize).saturating_sub(patch.top);
-    let mut lift = 0i32;
-    for dy in 0..3 {
-        for dx in 0..3 {
-            let index = (y + dy).saturating_sub(1) * patch.width + (x + dx).saturating_sub(1);
-            if let (Some(c), Some(a), Some(b)) = (
-                patch.current.get(index),
-                patch.one.get(index),
-                patch.other.get(index),
-            ) {
-                lift += 2 * i32::from(*c) - i32::from(*a) - i32::from(*b);
-            }
-        }
-    }
-    lift
 }
 
 /// Huber cost and weight of a squared normalised residual.

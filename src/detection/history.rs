@@ -89,6 +89,12 @@ impl History {
         self.seen.get(index.checked_sub(self.first_index)?)
     }
 
+    /// The frames `step` before and after frame `index`, where both are there.
+    pub fn near(&self, index: usize, step: usize) -> Option<(&Frame, &Frame)> {
+        let before = self.get(index.checked_sub(step)?)?;
+        Some((&before.frame, &self.get(index + step)?.frame))
+    }
+
     /// The frame `index` with references `lag` away: one on each side, or two on the side that has them.
     /// With `ended` the window has no further frames and what there is must do.
     pub fn triple(&self, index: usize, lag: usize, ended: bool) -> Option<Triple<'_>> {

@@ -137,6 +137,38 @@ pub fn change_mask(current: &[u8], before: &[u8], after: &[u8], threshold: u8) -
     mask
 }
 
+/// Widens the range of levels per column by a row: `bright` and `dark` have the row's length.
+#[inline(always)]
+pub fn widen_range(row: &[u8], bright: &mut [u8], dark: &mut [u8]) {
+    for ((level, bright), dark) in row.iter().zip(bright).zip(dark) {
+        *bright = (*bright).max(*level);
+        *dark = (*dark).min(*level);
+    }
+}
+
+/// How far each pixel is outside the range of levels of the columns within `reach` of it; 0 for pixels nearer than
+/// that to an end. `bright` and `dark` are used up.
+#[inline(always)]
+pub fn beyond(current: &[u8], bright: &mut [u8], dark: &mut [u8], reach: usize, change: &mut [u8]) {
+    let length = current.len();
+    change.fill(0);
+    if length <= 2 * reach || bright.len() != length || dark.len() != length || change.len() != length {
+        return;
+    }
+    // Each step widens by one column: then each place holds the range of 2·reach + 1 columns from it on.
+    for _ in 0..2 * reach {
+        for i in 0..length - 1 {
+            bright[i] = bright[i].max(bright[i + 1]);
+            dark[i] = dark[i].min(dark[i + 1]);
+        }
+    }
+    let inner = reach..length - reach;
+    let ranges = bright.iter().zip(dark.iter());
+    for ((c, change), (bright, dark)) in current[inner.clone()].iter().zip(&mut change[inner]).zip(ranges) {
+        *change = c.saturating_sub(*bright).max(dark.saturating_sub(*c));
+    }
+}
+
 /// Change of one pixel against both references: the smaller of the two when they agree in sign, else 0.
 #[inline(always)]
 pub fn change(current: u8, before: u8, after: u8) -> u8 {
@@ -165,7 +197,11 @@ mod tests {
                 let columns: Vec<bool> = tiles.iter().map(|most| *most > threshold).collect();
                 let masks: Vec<u64> = c.chunks(32).zip(a.chunks(32)).zip(b.chunks(32))
                     .map(|((c, a), b)| kernels.change_mask(c, a, b, threshold)).collect();
-                (columns, tiles, masks, kernels.clipped_change_sum(c, a, clip), kernels.read_both(c, a))
+                let (mut bright, mut dark, mut beyond) = (a.to_vec(), b.to_vec(), vec![0; size]);
+                kernels.widen_range(b, &mut bright, &mut dark);
+                kernels.widen_range(a, &mut bright, &mut dark);
+                kernels.beyond(c, &mut bright, &mut dark, 3, &mut beyond);
+                (columns, tiles, masks, kernels.clipped_change_sum(c, a, clip), kernels.read_both(c, a), beyond)
             };
             let portable = run(Isa::Portable);
             let by_hand = (0..width.div_ceil(32)).map(|tile| {
@@ -173,6 +209,12 @@ mod tests {
                 columns.into_iter().any(|x| (0..8).any(|y| c[y * width + x].abs_diff(a[y * width + x]) > threshold))
             });
             prop_assert!(portable.0.iter().copied().eq(by_hand));
+            let outside = (3..size - 3).map(|i| {
+                let levels = a[i - 3..=i + 3].iter().chain(&b[i - 3..=i + 3]);
+                let (low, high) = levels.fold((255, 0), |(low, high), v| (v.min(&low).to_owned(), v.max(&high).to_owned()));
+                c[i].saturating_sub(high).max(low.saturating_sub(c[i]))
+            });
+            prop_assert!(portable.5[3..size - 3].iter().copied().eq(outside));
             for isa in Isa::available() {
                 prop_assert_eq!(&run(*isa), &portable, "{:?}", isa);
             }

@@ -9,6 +9,7 @@
 //! before and after the frame in question, so a ball is free of its own ghosts and the answer comes
 //! `lag_frames` late. Thresholds follow the noise of each region ([`regions`]).
 
+mod background;
 mod blobs;
 mod centroid;
 mod config;
@@ -19,6 +20,7 @@ mod error;
 mod fit;
 mod history;
 mod kernel;
+mod movers;
 #[cfg(test)]
 pub(crate) mod painter;
 mod patches;

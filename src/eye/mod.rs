@@ -103,8 +103,10 @@ impl CameraEye {
                 if let Some((step_px, length_px)) = slowest_step(&ball.track, ball.shape.radius_px) {
                     self.detector.adapt_lag(step_px, length_px);
                 }
-                tracing::debug!(camera = %ball.track.camera, track = ball.track.track, shape = ?ball.shape, "pitch");
             }
+            let ends = ball.track.points.first().zip(ball.track.points.last());
+            let frames = ends.map(|(first, last)| (first.frame, last.frame));
+            tracing::debug!(camera = %ball.track.camera, kind = ?ball.kind, ?frames, shape = ?ball.shape, "moved");
             self.balls.push(ball);
         }
     }

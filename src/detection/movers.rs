@@ -1,0 +1,183 @@
+//! A ball in front of something that itself moves: a player's shirt changes everywhere, the ball is one spot of it.
+//!
+//! Such a spot is brighter (or darker) than everything near that place in frames shortly before and after: the
+//! references are taken at their brightest and darkest over a few pixels, as far as a player moves meanwhile.
+//! The ball moves further, so it stands out; edges and patterns of the player do not.
+
+use nalgebra::Vector2;
+
+use super::blobs::{Blob, Images};
+use super::centroid::{Moments, Sums};
+use super::dispatch::Kernels;
+
+/// A spot within a blob is a ball's from this many pixels.
+const SPOT_AREA_MIN_PX: usize = 4;
+/// Spots answered for one blob, the strongest.
+const SPOTS_MAX: usize = 6;
+/// Spots tracked while a blob is read; a pattern that yields more is no player.
+const SPOTS_OPEN_MAX: usize = 64;
+/// Pixels that may be missing between two parts of one spot.
+const SPOT_GAP_PX: usize = 2;
+/// A wider or higher spot is no ball.
+const SPOT_SIDE_MAX_PX: usize = 40;
+/// Rows of a blob that are read: a higher one is not searched below that.
+const ROWS_MAX: usize = 400;
+
+/// A spot while it is gathered.
+struct Spot {
+    left: usize,
+    right: usize,
+    top: usize,
+    bottom: usize,
+    area_px: usize,
+    peak: i32,
+    sums: Sums,
+}
+
+impl Spot {
+    fn at(x: usize, y: usize) -> Self {
+        Self {
+            left: x,
+            right: x,
+            top: y,
+            bottom: y,
+            area_px: 0,
+            peak: 0,
+            sums: Sums::default(),
+        }
+    }
+
+    fn take(&mut self, x: usize, y: usize, change: i32) {
+        self.left = self.left.min(x);
+        self.right = self.right.max(x);
+        self.bottom = y;
+        self.area_px += 1;
+        self.peak = self.peak.max(change);
+        self.sums.add(Vector2::new(x as f64, y as f64), change, 0.0);
+    }
+}
+
+/// Searches blobs for spots; keeps its buffers from frame to frame.
+pub struct MoverSearch {
+    kernels: Kernels,
+    brightest: Vec<u8>,
+    darkest: Vec<u8>,
+    change: Vec<u8>,
+    spots: Vec<Spot>,
+}
+
+impl MoverSearch {
+    /// Buffers for an image this wide.
+    pub fn new(width_px: usize, kernels: Kernels) -> Self {
+        Self {
+            kernels,
+            brightest: vec![0; width_px],
+            darkest: vec![0; width_px],
+            change: vec![0; width_px],
+            spots: Vec::with_capacity(SPOTS_OPEN_MAX),
+        }
+    }
+
+    /// The strongest spots of a blob: where the change beyond `reach_px` exceeds `threshold`.
+    pub fn find(
+        &mut self,
+        near: &Images<'_>,
+        blob: &Blob,
+        reach_px: usize,
+        threshold: u8,
+    ) -> impl Iterator<Item = (Moments, Blob)> + '_ {
+        self.spots.clear();
+        let left = blob.left.saturating_sub(reach_px + 1);
+        let right = (blob.right + reach_px + 2).min(near.width_px);
+        for y in (blob.top..=blob.bottom).take(ROWS_MAX) {
+            if self.read_row(near, y, left..right, reach_px) {
+                self.take_row(y, left..right, threshold);
+            }
+        }
+        let sigma = blob.difference_sigma;
+        let spots = &mut self.spots;
+        spots.retain(|spot| {
+            let side = (spot.right - spot.left).max(spot.bottom - spot.top);
+            spot.area_px >= SPOT_AREA_MIN_PX && side <= SPOT_SIDE_MAX_PX
+        });
+        spots.sort_by(|a, b| b.sums.total().total_cmp(&a.sums.total()));
+        spots.iter().take(SPOTS_MAX).filter_map(move |spot| {
+            let moments = spot.sums.moments(Vector2::zeros(), f64::from(sigma))?;
+            Some((
+                moments,
+                Blob {
+                    left: spot.left,
+                    right: spot.right,
+                    top: spot.top,
+                    bottom: spot.bottom,
+                    area_px: spot.area_px,
+                    change_sum: 0,
+                    peak: spot.peak,
+                    difference_sigma: sigma,
+                },
+            ))
+        })
+    }
+
+    /// The change of one row beyond its neighbourhood; `false` where the image has no such row.
+    fn read_row(
+        &mut self,
+        near: &Images<'_>,
+        y: usize,
+        columns: std::ops::Range<usize>,
+        reach_px: usize,
+    ) -> bool {
+        let width = columns.len();
+        let row = |image: &'_ [u8], y: usize| -> Option<std::ops::Range<usize>> {
+            let begin = y * near.width_px;
+            (begin + columns.end <= image.len()).then(|| begin + columns.start..begin + columns.end)
+        };
+        let (Some(bright), Some(dark), Some(change)) = (
+            self.brightest.get_mut(..width),
+            self.darkest.get_mut(..width),
+            self.change.get_mut(..width),
+        ) else {
+            return false;
+        };
+        bright.fill(0);
+        dark.fill(u8::MAX);
+        for source in [near.one, near.other] {
+            for y in y.saturating_sub(reach_px)..=(y + reach_px).min(near.height_px.saturating_sub(1)) {
+                if let Some(pixels) = row(source, y).and_then(|range| source.get(range)) {
+                    self.kernels.widen_range(pixels, bright, dark);
+                }
+            }
+        }
+        let Some(pixels) = row(near.current, y).and_then(|range| near.current.get(range)) else {
+            return false;
+        };
+        self.kernels.beyond(pixels, bright, dark, reach_px, change);
+        true
+    }
+
+    /// Adds a row's changed pixels to the spots they touch.
+    fn take_row(&mut self, y: usize, columns: std::ops::Range<usize>, threshold: u8) {
+        let (left, width) = (columns.start, columns.len());
+        for (i, change) in self.change.iter().enumerate().take(width) {
+            if *change <= threshold {
+                continue;
+            }
+            let x = left + i;
+            let touched = self.spots.iter_mut().rev().find(|spot| {
+                y <= spot.bottom + SPOT_GAP_PX
+                    && x + SPOT_GAP_PX >= spot.left
+                    && x <= spot.right + SPOT_GAP_PX
+            });
+            let change = i32::from(*change);
+            if let Some(spot) = touched {
+                spot.take(x, y, change);
+            } else if self.spots.len() < SPOTS_OPEN_MAX {
+                let mut spot = Spot::at(x, y);
+                spot.take(x, y, change);
+                self.spots.push(spot);
+            } else {
+                return;
+            }
+        }
+    }
+}
