@@ -54,7 +54,7 @@ pub struct SolvingArgs {
     /// Plane of the plate location in the table and in pitches.csv.
     #[arg(long, value_enum, default_value_t = Plane::Front)]
     pub plane: Plane,
-    /// Folder for pitches.jsonl, pitches.csv, calibration.json, tracks/ and report.html.
+    /// Folder for pitches.jsonl, pitches.csv, calibration.json, tracks/, results.mcap and report.html.
     #[arg(long, value_name = "DIR", default_value = "pitchd-results")]
     pub out: PathBuf,
     /// Print the pitches as JSON lines instead of the table.

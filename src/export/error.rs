@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::recording::TrackFileError;
+use crate::recording::{RecordingError, TrackFileError};
 
 /// A results folder or export that cannot be written or read.
 #[derive(Debug, thiserror::Error)]
@@ -46,6 +46,9 @@ pub enum ExportError {
     /// A track file.
     #[error(transparent)]
     Tracks(#[from] TrackFileError),
+    /// The file for viewers.
+    #[error(transparent)]
+    Viewer(#[from] RecordingError),
 }
 
 impl ExportError {

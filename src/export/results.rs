@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::recording::write_track_folder;
+use crate::recording::{ViewerInput, write_track_folder, write_viewer_file};
 use crate::scene::{Calibration, Pitch, Track};
 
 use super::error::ExportError;
@@ -20,8 +20,8 @@ pub struct Results {
     pub calibration: Calibration,
 }
 
-/// Writes `pitches.jsonl`, `pitches.csv`, `calibration.json`, `tracks/<camera>.csv` and `report.html`;
-/// gives the report's path. Track files of cameras without a track in `tracks` are left as they are.
+/// Writes `pitches.jsonl`, `pitches.csv`, `calibration.json`, `tracks/<camera>.csv`, `results.mcap` (for viewers)
+/// and `report.html`; gives the report's path. Track files of cameras without a track in `tracks` are left as they are.
 ///
 /// # Errors
 /// [`ExportError::Write`] with the path; [`ExportError::NotFinite`] when a number had no JSON form, after
@@ -34,11 +34,16 @@ pub fn write(folder: &Path, input: &ReportInput<'_>, tracks: &[Track]) -> Result
         &folder.join("pitches.csv"),
         &statcast::csv(input.pitches, input.plane),
     )?;
-    replace(
-        &folder.join("calibration.json"),
-        &calibration_json(input.calibration)?,
-    )?;
+    let calibration_json = calibration_json(input.calibration)?;
+    replace(&folder.join("calibration.json"), &calibration_json)?;
     write_tracks(folder, tracks)?;
+    let shown = ViewerInput {
+        calibration_json: &calibration_json,
+        calibration: input.calibration,
+        pitches: input.pitches,
+        tracks,
+    };
+    write_viewer_file(&folder.join("results.mcap"), &shown)?;
     replace(&report, &report::html(input))?;
     read(folder).map_err(not_finite)?;
     Ok(report)
@@ -254,6 +259,7 @@ mod tests {
                 "pitches.csv",
                 "pitches.jsonl",
                 "report.html",
+                "results.mcap",
                 "tracks"
             ]
         );

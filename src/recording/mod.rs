@@ -5,7 +5,7 @@
 //!   first.0000.mcap        frames of camera `first`, first ten seconds of stamps (or 4 GiB)
 //!   first.0001.mcap        the next
 //!   third.0000.mcap.part   still being written, or its writer was killed
-//!   session.mcap           rig, calibration, tracks, results and the list of the files above
+//!   session.mcap           rig, calibration and the list of the files above
 //! ```
 //!
 //! Every file is a plain MCAP file without chunk compression and stands alone: rig and calibration are
@@ -41,6 +41,7 @@ mod segment;
 mod session_file;
 mod summary;
 mod track_files;
+mod viewer_file;
 mod writer;
 
 pub use damage::{Damage, LostFrames};
@@ -50,4 +51,5 @@ pub use layout::PixelEncoding;
 pub use reader::{CameraFrames, CameraRecording, SessionReader};
 pub use repair::{Repaired, repair_session};
 pub use track_files::{TrackFileError, read_track_file, read_track_folder, write_track_folder};
+pub use viewer_file::{ViewerInput, write_viewer_file};
 pub use writer::{CameraGeometry, CameraWriter, DiskPath, SessionOptions, SessionWriter, remove_session};
