@@ -12,6 +12,8 @@ use crate::scene::Rig;
 
 /// Shortest common part of a flight that is used, seconds.
 const OVERLAP_S: f64 = 0.08;
+/// Starts with delays side by side and turned by less than this lead to the same place.
+const SAME_VALLEY_RAD: f64 = 0.1;
 /// Correspondences per pitch.
 const PER_PITCH: usize = 10;
 
@@ -141,7 +143,7 @@ pub(crate) fn two_view_candidates(
         starts.extend(valley_floors(&coarse));
     }
     starts.sort_by(|a, b| a.cost_px.total_cmp(&b.cost_px));
-    starts.truncate(2 * keep);
+    let starts = one_a_valley(&starts, step_s, 6 * keep);
     let mut refined: Vec<TwoView> = Vec::new();
     for start in starts {
         let found = refine(pair, &start, with_skew);
@@ -196,6 +198,22 @@ fn valley_floors(coarse: &[Vec<TwoView>]) -> Vec<TwoView> {
         }
     }
     floors
+}
+
+/// The best start of every valley, at most `most`. With skews a false valley has many starts, and a grid this
+/// coarse can put all of them before the true one's.
+fn one_a_valley(starts: &[TwoView], step_s: f64, most: usize) -> Vec<TwoView> {
+    let mut kept: Vec<TwoView> = Vec::new();
+    for start in starts {
+        let same = |k: &TwoView| {
+            (k.clock.delay_s - start.clock.delay_s).abs() < 2.5 * step_s
+                && k.b_from_a.rotation.angle_to(&start.b_from_a.rotation) < SAME_VALLEY_RAD
+        };
+        if kept.len() < most && !kept.iter().any(same) {
+            kept.push(*start);
+        }
+    }
+    kept
 }
 
 /// Skews to try: steps that drift by one coarse step over half the session, up to ±50 ppm.
