@@ -87,6 +87,16 @@ pub enum CalibrationError {
         /// Share of the points that the best motion explains.
         explained_share: f64,
     },
+    /// Flights that are no ball's, where no landmarks hold the world.
+    #[error("{implausible} of {flights} flights are no pitch's ({reason}), and no landmarks hold the world")]
+    NoPitches {
+        /// Flights that no ball flies.
+        implausible: usize,
+        /// Flights found.
+        flights: usize,
+        /// What is wrong with the first.
+        reason: String,
+    },
     /// A solver stopped without an answer.
     #[error("{stage} did not converge: {reason}")]
     NotConverged {

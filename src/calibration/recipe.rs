@@ -8,7 +8,7 @@ use super::sweep::sweep;
 use super::{CalibrationError, InitialEstimate, PitchTracks};
 use crate::flight::sighting::CameraModel;
 use crate::flight::{FlightOptions, SolvedFlight, position_sigma_m, solve_flight};
-use crate::scene::{Calibration, Rig, Track};
+use crate::scene::{Calibration, Rig, Track, WorldFrame};
 
 /// Options of every stage.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -85,6 +85,7 @@ pub fn calibrate(
     };
     // 6. A camera whose delay stays open is left out where two others remain; else the rig is refused.
     let (solution, open) = leave_open_out(rig, &pitches, solution, options)?;
+    check_scale(rig, &solution)?;
     // 7. Flights of the pitches that the calibration does not rest on.
     let mut outcome = assemble(pitches, solution);
     outcome.calibration.warnings.extend(notes);
@@ -137,7 +138,9 @@ fn explained(solution: &JointSolution) -> usize {
 
 /// Whether a swept solution is to be preferred: it alone observes its delays, or it explains more tracks.
 fn is_better(rig: &Rig, swept: &JointSolution, found: &JointSolution, options: &CalibrationOptions) -> bool {
-    let observes = |solution| joint::check_delays(rig, solution, &options.joint).is_ok();
+    let observes = |solution| {
+        joint::check_delays(rig, solution, &options.joint).is_ok() && check_scale(rig, solution).is_ok()
+    };
     match (observes(swept), observes(found)) {
         (true, false) => true,
         (false, true) => false,
@@ -151,7 +154,31 @@ fn is_sound(rig: &Rig, tracks: &[Track], solution: &JointSolution, options: &Cal
         .iter()
         .filter(|t| solution.calibration.camera(&t.camera).is_some())
         .count();
-    3 * explained(solution) >= placed && joint::check_delays(rig, solution, &options.joint).is_ok()
+    3 * explained(solution) >= placed
+        && joint::check_delays(rig, solution, &options.joint).is_ok()
+        && check_scale(rig, solution).is_ok()
+}
+
+/// Refuses a world without landmarks whose flights no ball flies: with its scale wrong, a free enough flight
+/// fits any points.
+fn check_scale(rig: &Rig, solution: &JointSolution) -> Result<(), CalibrationError> {
+    if solution.calibration.world != WorldFrame::ReferenceCamera {
+        return Ok(());
+    }
+    let options = FlightOptions::for_site(&rig.site, solution.calibration.world);
+    let reasons: Vec<String> = solution
+        .flights
+        .iter()
+        .filter_map(|f| implausible(&f.trajectory, &options))
+        .collect();
+    match reasons.first() {
+        Some(reason) if 2 * reasons.len() > solution.flights.len() => Err(CalibrationError::NoPitches {
+            implausible: reasons.len(),
+            flights: solution.flights.len(),
+            reason: reason.clone(),
+        }),
+        _ => Ok(()),
+    }
 }
 
 fn choose(

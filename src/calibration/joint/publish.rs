@@ -65,7 +65,7 @@ pub(super) fn publish(
         condition: condition(&reduced.complement),
         variance_factor: claimed_variance_factor(state),
         pitches_used: state.flights.iter().map(|f| f.pitch as u32 + 1).collect(),
-        warnings: warnings(rig, problem, state),
+        warnings: warnings(rig, problem, state, &covariance),
         cost_trace: Vec::new(),
     };
     Ok(JointSolution {
@@ -229,7 +229,31 @@ fn claimed_variance_factor(state: &JointState) -> f64 {
     total / state.cameras.len().max(1) as f64
 }
 
-fn warnings(rig: &Rig, problem: &JointProblem, state: &JointState) -> Vec<String> {
+/// Relative 1σ of the longest distance between the reference and another camera: how well the scale is known.
+fn scale_sigma(problem: &JointProblem, state: &JointState, covariance: &DMatrix<f64>) -> f64 {
+    let origin = state.cameras[problem.reference].pose.centre_m();
+    let far = state
+        .cameras
+        .iter()
+        .enumerate()
+        .map(|(i, c)| (i, c.pose.centre_m() - origin));
+    let Some((camera, baseline)) = far.max_by(|a, b| a.1.norm().total_cmp(&b.1.norm())) else {
+        return f64::INFINITY;
+    };
+    let first = problem
+        .columns
+        .iter()
+        .position(|c| c.camera == camera && c.parameter() == ParameterKind::TranslationX);
+    let Some(first) = first.filter(|_| baseline.norm() > 0.0) else {
+        return f64::INFINITY;
+    };
+    // The centre moves by −Rᵀ·υ; the reference camera's is held.
+    let own = covariance.fixed_view::<3, 3>(first, first);
+    let along = state.cameras[camera].pose.rotation * baseline.normalize();
+    along.dot(&(own * along)).max(0.0).sqrt() / baseline.norm()
+}
+
+fn warnings(rig: &Rig, problem: &JointProblem, state: &JointState, covariance: &DMatrix<f64>) -> Vec<String> {
     let mut all: Vec<String> = problem
         .terms
         .misfits(&state.cameras, LANDMARK_SIGMAS)
@@ -247,7 +271,10 @@ fn warnings(rig: &Rig, problem: &JointProblem, state: &JointState) -> Vec<String
         }
     }
     if problem.world == WorldFrame::ReferenceCamera && !problem.terms.fix_scale() {
-        all.push("no landmark or distance fixes the scale: it rests on gravity and drag".to_owned());
+        all.push(format!(
+            "the scale rests on gravity and drag: 1σ {:.0} %",
+            100.0 * scale_sigma(problem, state, covariance)
+        ));
     }
     all
 }
