@@ -127,7 +127,7 @@ pub fn calibrate(
     }
     let placed = world::place(rig, pitches, &found, &capture_delay_s);
     let mut notes = start.notes.clone();
-    notes.push(placed.note);
+    notes.extend(placed.note);
     Ok(Kim2019Solution {
         poses: placed.poses,
         capture_delay_s,
@@ -178,7 +178,7 @@ pub fn as_start(
         skew_epoch_ns: vec![epoch_ns; rig.cameras.len()],
         world: placed.world,
         score_px: found.reprojection_px,
-        notes: vec![placed.note],
+        notes: placed.note.into_iter().collect(),
     }
 }
 

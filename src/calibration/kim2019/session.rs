@@ -79,5 +79,23 @@ pub fn calibrate_session(
         wrong_tracks: Vec::new(),
     };
     solve_the_rest(rig, &mut outcome);
+    restate_rms(&mut outcome);
     Ok(outcome)
+}
+
+/// Reprojection error as every method states it: of the solved flights' kept points. The paper's own is of its
+/// triangulated points, each free in space.
+fn restate_rms(outcome: &mut CalibrationOutcome) {
+    for camera in &mut outcome.calibration.cameras {
+        let (mut kept, mut square) = (0, 0.0);
+        let fits = outcome.flights.iter().flat_map(|f| &f.flight.tracks);
+        for fit in fits.filter(|t| t.camera == camera.id) {
+            kept += fit.kept;
+            square += fit.kept as f64 * fit.rms_px * fit.rms_px;
+        }
+        if kept > 0 {
+            camera.reprojection_rms_px = (square / kept as f64).sqrt();
+            camera.points = kept;
+        }
+    }
 }

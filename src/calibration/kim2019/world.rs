@@ -12,11 +12,15 @@ use crate::calibration::self_calibration::make_metric;
 use crate::geometry::Pose;
 use crate::scene::{Landmark, Rig, WorldFrame};
 
+/// Landmarks that fit worse than this, rms in their sigmas, are told of.
+const MISFIT_NOTED: f64 = 3.0;
+
 /// Poses in a world, and what made it.
 pub(super) struct Placed {
     pub poses: Vec<Option<Pose>>,
     pub world: WorldFrame,
-    pub note: String,
+    /// What a person must know of it.
+    pub note: Option<String>,
 }
 
 /// Puts the reconstruction where the landmarks say; without any, upright around the reference camera.
@@ -44,7 +48,7 @@ pub(super) fn place(rig: &Rig, pitches: &[PitchTracks], found: &Reconstruction, 
     let unplaced = |note: String| Placed {
         poses: found.poses.clone(),
         world: WorldFrame::ReferenceCamera,
-        note,
+        note: Some(note),
     };
     let Ok(curves) = Curves::new(rig, pitches, 10) else {
         return unplaced("no curve to take gravity from".to_owned());
@@ -65,7 +69,7 @@ pub(super) fn place(rig: &Rig, pitches: &[PitchTracks], found: &Reconstruction, 
         } else {
             WorldFrame::ReferenceCamera
         },
-        note: format!("no landmarks: {note}"),
+        note: Some(format!("no landmarks: {note}")),
     }
 }
 
@@ -158,9 +162,11 @@ fn by_landmarks(rig: &Rig, found: &Reconstruction) -> Option<Placed> {
     Some(Placed {
         poses: (0..rig.cameras.len()).map(|c| pose_of(c, &pose, scale)).collect(),
         world: WorldFrame::HomePlate,
-        note: format!(
-            "scale and world from {} landmark clicks, rms {rms:.2} of their sigmas",
-            used.len()
-        ),
+        note: (rms > MISFIT_NOTED).then(|| {
+            format!(
+                "scale and world rest on {} landmark clicks that fit only to {rms:.1} of their sigmas",
+                used.len()
+            )
+        }),
     })
 }
