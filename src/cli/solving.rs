@@ -10,7 +10,7 @@ use crate::daemon::batch::{Batch, BatchOptions, solve_tracks};
 use crate::export::report::{FreeReportInput, ReportInput, TrajectoryRow};
 use crate::export::statcast::PlatePlane;
 use crate::export::{results, table};
-use crate::scene::{Calibration, CalibrationMethod, Rig, Track};
+use crate::scene::{Calibration, CalibrationMethod, Rig, Track, WorldFrame};
 
 /// Estimator.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -99,6 +99,9 @@ impl SolvingArgs {
             },
             tracks,
         )?;
+        if batch.calibration.world != WorldFrame::HomePlate {
+            results::write_trajectory(&self.out, &batch.trajectory(rig.reference_camera().frame_rate_hz))?;
+        }
         self.print(rig, &batch, plane, &report)
     }
 
@@ -178,7 +181,13 @@ impl SolvingArgs {
         } else {
             print!("{}", table::cameras(&batch.calibration, rig));
             println!();
-            print!("{}", table::pitches(&batch.pitches, plane));
+            if batch.calibration.world == WorldFrame::HomePlate {
+                print!("{}", table::pitches(&batch.pitches, plane));
+            } else {
+                print!("{}", table::flights(&batch.flight_rows()));
+                println!();
+                println!("trajectory: {}", self.out.join("trajectory.csv").display());
+            }
             println!();
             println!("report: {}", report.display());
         }

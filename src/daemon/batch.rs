@@ -4,12 +4,14 @@ use crate::calibration::association::{Association, AssociationOptions, associate
 use crate::calibration::kim2019::{self, Kim2019Options};
 use crate::calibration::recipe::{CalibrationOptions, CalibrationOutcome, calibrate};
 use crate::calibration::{CalibrationError, PitchTracks};
-use crate::export::report::Residual;
+use crate::export::report::{Residual, TrajectoryRow};
+use crate::export::table::FlightRow;
 use crate::flight::{
-    FlightError, FlightOptions, NumbersError, PitchOptions, SolvedFlight, pitch_from_flight, residuals,
-    solve_flight,
+    CamerasKnown, FlightError, FlightOptions, NumbersError, PitchOptions, SolvedFlight, flight_samples,
+    pitch_from_flight, residuals, solve_flight, speed_at,
 };
 use crate::scene::{Calibration, CalibrationMethod, CameraId, Pitch, Rig, Track, WorldFrame};
+use crate::time::NANOS_PER_SECOND;
 
 /// How tracks become pitches.
 #[derive(Debug, Clone, Default)]
@@ -189,6 +191,53 @@ fn group_by(rig: &Rig, calibration: &Calibration, tracks: &[Track]) -> Vec<Pitch
 }
 
 impl Batch {
+    /// Every flight as rows of `trajectory.csv`: what there is to show where the world has no plate.
+    pub fn trajectory(&self, rate_hz: f64) -> Vec<TrajectoryRow> {
+        let mut rows = Vec::new();
+        for BatchFlight { flight, .. } in &self.flights {
+            let mut cameras: Vec<_> = flight
+                .tracks
+                .iter()
+                .filter(|t| t.kept > 0)
+                .map(|t| &t.camera)
+                .collect();
+            cameras.sort();
+            cameras.dedup();
+            let seen = u32::try_from(cameras.len()).unwrap_or(u32::MAX);
+            rows.extend(
+                flight_samples(flight, rate_hz)
+                    .into_iter()
+                    .map(|s| TrajectoryRow {
+                        time_ns: s.time_ns,
+                        position_m: s.position_m,
+                        sigma_m: s.sigma_m,
+                        cameras: seen,
+                    }),
+            );
+        }
+        rows
+    }
+
+    /// Every flight as a line of the terminal's table.
+    pub fn flight_rows(&self) -> Vec<FlightRow> {
+        let begins_s = |f: &SolvedFlight| f.trajectory.epoch_ns() as f64 / NANOS_PER_SECOND + f.observed_s.0;
+        let first_s = self.flights.first().map_or(0.0, |f| begins_s(&f.flight));
+        self.flights
+            .iter()
+            .map(|BatchFlight { number, flight, .. }| {
+                let (begin, end) = flight.observed_s;
+                FlightRow {
+                    number: *number,
+                    begin_s: begins_s(flight) - first_s,
+                    seen_s: end - begin,
+                    speed_mps: speed_at(&flight.trajectory, &flight.covariance, 0.5 * (begin + end)),
+                    points: flight.kept(),
+                    rms_px: flight.rms_px(),
+                }
+            })
+            .collect()
+    }
+
     fn fly(&mut self, rig: &Rig, groups: Vec<Group>) {
         let home_plate = self.calibration.world == WorldFrame::HomePlate;
         if !home_plate {
@@ -239,6 +288,11 @@ impl Batch {
         let options = PitchOptions {
             sample_rate_hz: rig.reference_camera().frame_rate_hz,
             calibration_version: self.calibration.version,
+            cameras_known: if self.calibration.parameters.is_empty() {
+                CamerasKnown::WithoutSigma
+            } else {
+                CamerasKnown::WithSigma
+            },
             ..PitchOptions::default()
         };
         match pitch_from_flight(flight, number, &options) {

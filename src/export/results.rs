@@ -69,6 +69,16 @@ pub fn write_free(
     Ok(report)
 }
 
+/// Writes `trajectory.csv` alone: flights that are no pitches because the world has no plate.
+///
+/// # Errors
+/// [`ExportError::Write`] with the path.
+pub fn write_trajectory(folder: &Path, rows: &[TrajectoryRow]) -> Result<PathBuf, ExportError> {
+    let path = folder.join("trajectory.csv");
+    replace(&path, &trajectory_csv(rows))?;
+    Ok(path)
+}
+
 /// One row a frame of the reference camera: nanoseconds and metres to the micrometre.
 fn trajectory_csv(rows: &[TrajectoryRow]) -> String {
     let mut text = "time_ns,x_m,y_m,z_m,sigma_x_m,sigma_y_m,sigma_z_m,cameras\n".to_owned();

@@ -49,6 +49,40 @@ pub fn pitches(pitches: &[Pitch], plane: PlatePlane) -> String {
     aligned(&heading, rows.collect())
 }
 
+/// A flight of a world without a plate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FlightRow {
+    /// Number, from 1.
+    pub number: u32,
+    /// True time of its first point, seconds after the first flight's.
+    pub begin_s: f64,
+    /// How long it was seen, seconds.
+    pub seen_s: f64,
+    /// Speed in the middle with its 1σ, m/s.
+    pub speed_mps: (f64, f64),
+    /// Points kept.
+    pub points: usize,
+    /// Residual rms, pixels.
+    pub rms_px: f64,
+}
+
+/// The flights of a world without a plate, aligned, with a heading.
+pub fn flights(rows: &[FlightRow]) -> String {
+    let heading = ["flight", "at s", "seen s", "speed m/s", "±", "points", "rms px"];
+    let rows = rows.iter().map(|row| {
+        vec![
+            row.number.to_string(),
+            format!("{:.3}", row.begin_s),
+            format!("{:.3}", row.seen_s),
+            format!("{:.2}", row.speed_mps.0),
+            format!("{:.2}", row.speed_mps.1),
+            row.points.to_string(),
+            format!("{:.2}", row.rms_px),
+        ]
+    });
+    aligned(&heading, rows.collect())
+}
+
 /// One line a camera: delay with 1σ in milliseconds and frames, clock, residuals.
 pub fn cameras(calibration: &Calibration, rig: &Rig) -> String {
     let heading = [

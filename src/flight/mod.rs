@@ -29,11 +29,11 @@ pub use nine_parameter::{
 };
 pub use numbers::{
     NineParameterView, NumbersError, PLATE_FRONT_Y_M, PLATE_MIDDLE_Y_M, PlaneState, RELEASE_Y_M,
-    nine_parameter_view, position_sigma_m, state_at_plane,
+    nine_parameter_view, position_sigma_m, speed_at, state_at_plane,
 };
 pub use outcome::{SolvedFlight, TrackFit};
 pub use physics::{Aerodynamics, Physics};
-pub use pitch::{PitchOptions, pitch_from_flight};
+pub use pitch::{CamerasKnown, PitchOptions, flight_samples, pitch_from_flight};
 pub use residuals::{PointResidual, residuals};
 pub use solve::{FlightOptions, solve_flight};
 pub use start::linear_start;

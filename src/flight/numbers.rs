@@ -208,6 +208,21 @@ pub fn nine_parameter_view(
     })
 }
 
+/// Speed at a fixed time with its 1σ, m/s.
+pub fn speed_at(trajectory: &Trajectory, covariance: &DMatrix<f64>, time_s: f64) -> (f64, f64) {
+    let basis = trajectory.basis(time_s);
+    let velocity = trajectory.velocity_at(&basis);
+    let speed = velocity.norm();
+    let mut row = DVector::zeros(FLIGHT_PARAMETERS);
+    for axis in 0..3 {
+        row += spread(&basis.rate, axis) * (velocity[axis] / speed.max(1e-9));
+    }
+    if check_shape(covariance).is_err() {
+        return (speed, f64::NAN);
+    }
+    (speed, row.dot(&(covariance * &row)).max(0.0).sqrt())
+}
+
 /// 1σ per axis of the position at a fixed time, metres.
 pub fn position_sigma_m(trajectory: &Trajectory, covariance: &DMatrix<f64>, time_s: f64) -> [f64; 3] {
     let basis = trajectory.basis(time_s);

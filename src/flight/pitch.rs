@@ -33,6 +33,17 @@ pub struct PitchOptions {
     pub sample_rate_hz: f64,
     /// Version of the calibration the flight was solved with.
     pub calibration_version: u32,
+    /// Whether the flight's covariance holds the calibration's.
+    pub cameras_known: CamerasKnown,
+}
+
+/// What a flight's covariance says of the cameras.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum CamerasKnown {
+    /// Their own uncertainty is in it.
+    WithSigma,
+    /// It takes them as exact: whoever placed them told no sigma.
+    WithoutSigma,
 }
 
 impl Default for PitchOptions {
@@ -42,6 +53,7 @@ impl Default for PitchOptions {
             zone: StrikeZone::for_height(DEFAULT_BATTER_HEIGHT_M),
             sample_rate_hz: 175.0,
             calibration_version: 1,
+            cameras_known: CamerasKnown::WithSigma,
         }
     }
 }
@@ -105,7 +117,7 @@ pub fn pitch_from_flight(
         quality: PitchQuality::Good,
         reasons: Vec::new(),
     };
-    judge(&mut made, flight);
+    judge(&mut made, flight, options.cameras_known);
     Ok(made)
 }
 
@@ -133,6 +145,16 @@ fn samples(flight: &SolvedFlight, release_s: f64, rate_hz: f64) -> Vec<FlightSam
     let (span_begin, span_end) = path.span_s();
     let begin = flight.observed_s.0.min(release_s).max(span_begin);
     let end = path.time_at_y(0.0).unwrap_or(span_end);
+    sampled(flight, (begin, end), rate_hz)
+}
+
+/// A flight in any world, from the first point seen to the last.
+pub fn flight_samples(flight: &SolvedFlight, rate_hz: f64) -> Vec<FlightSample> {
+    sampled(flight, flight.observed_s, rate_hz)
+}
+
+fn sampled(flight: &SolvedFlight, (begin, end): (f64, f64), rate_hz: f64) -> Vec<FlightSample> {
+    let path = &flight.trajectory;
     let count = ((end - begin) * rate_hz).floor().clamp(0.0, 100_000.0) as usize;
     (0..=count)
         .map(|i| {
@@ -203,7 +225,7 @@ fn statcast(
 }
 
 /// Sets quality and reasons.
-fn judge(pitch: &mut Pitch, flight: &SolvedFlight) {
+fn judge(pitch: &mut Pitch, flight: &SolvedFlight, cameras_known: CamerasKnown) {
     let mut reasons = Vec::new();
     let mut quality = PitchQuality::Good;
     let mut note = |worst: PitchQuality, reason: String| {
@@ -231,6 +253,10 @@ fn judge(pitch: &mut Pitch, flight: &SolvedFlight) {
             PitchQuality::Degraded,
             format!("plate location is only good to {:.0} mm", 1e3 * sigma),
         );
+    }
+    if cameras_known == CamerasKnown::WithoutSigma {
+        let reason = "its sigmas leave out the cameras' own error, which the calibration does not tell";
+        note(PitchQuality::Degraded, reason.to_owned());
     }
     let last_y = flight.trajectory.position_m(flight.observed_s.1).y;
     if last_y > FOLLOWED_TO_Y_M {
