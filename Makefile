@@ -1,7 +1,8 @@
 # make demo   installs what the build needs, builds, replays the bundled recording, prints its pitches
 # make test   every test
+# make install   program, unit, sysctl, udev, sysusers and tmpfiles below DESTDIR
 # make bench  every benchmark (ratios against a named baseline of the same run)
-.PHONY: demo test bench packages lint
+.PHONY: demo test bench packages lint install
 
 CARGO_TARGET_DIR ?= target
 export CARGO_TARGET_DIR
@@ -23,3 +24,13 @@ lint: packages
 
 packages:
 	@.ci/install-packages
+
+DESTDIR ?=
+install:
+	cargo build --locked --release
+	install -D -m 755 $(CARGO_TARGET_DIR)/release/pitchd $(DESTDIR)/usr/bin/pitchd
+	install -D -m 644 systemd/pitchd.service $(DESTDIR)/usr/lib/systemd/system/pitchd.service
+	install -D -m 644 systemd/60-pitchd.sysctl.conf $(DESTDIR)/usr/lib/sysctl.d/60-pitchd.conf
+	install -D -m 644 systemd/70-pitchd-usb3vision.rules $(DESTDIR)/usr/lib/udev/rules.d/70-pitchd-usb3vision.rules
+	install -D -m 644 systemd/pitchd.sysusers.conf $(DESTDIR)/usr/lib/sysusers.d/pitchd.conf
+	install -D -m 644 systemd/pitchd.tmpfiles.conf $(DESTDIR)/usr/lib/tmpfiles.d/pitchd.conf

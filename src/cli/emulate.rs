@@ -4,9 +4,13 @@ use std::io::BufRead;
 use std::net::Ipv4Addr;
 use std::time::{Duration, Instant, SystemTime};
 
+use std::path::Path;
+
 use anyhow::{Context, bail};
 
-use crate::emulation::{Drill, Emulator, EmulatorOptions, Faults, Script, ScriptShape, pattern};
+use crate::emulation::{
+    Drill, Emulator, EmulatorOptions, Faults, Script, ScriptShape, pattern, session_script,
+};
 use crate::scene::CameraId;
 
 /// Serve frames as a real GigE Vision camera on the network.
@@ -16,11 +20,15 @@ Example: a camera that any GigE Vision program can open (127.0.0.x needs no priv
   pitchd emulate pattern:2048x1024 --camera first --address 127.0.0.5 &
   arv-tool-0.8 -a 127.0.0.5 control DeviceSerialNumber
 
+Two cameras of a recording that begin together in five seconds:
+  for i in 1 2; do pitchd emulate session --camera cam$i --address 127.0.0.$i --start-at $(($(date +%s)+5)) & done
+
 Commands on standard input, one a line: freeze S, disconnect S, reboot S, clock S (step the device clock),
 faults KEY=VALUE,…, loss P, reorder_ms MS, jitter_ms MS, quit. Faults: loss, reorder, reorder_ms, jitter_ms,
 clock_offset_s, skew_ppm.")]
 pub struct EmulateArgs {
-    /// What the camera sees: `pattern:WIDTHxHEIGHT`.
+    /// What the camera sees: a session folder, or `pattern:WIDTHxHEIGHT`. Before its begin and after its end the
+    /// camera shows the first or last frame.
     pub source: String,
     /// Id of the camera; also its user-defined name.
     #[arg(long)]
@@ -43,15 +51,20 @@ pub struct EmulateArgs {
     /// Unix time at which the source begins, so that several cameras begin together [default: with the first acquisition].
     #[arg(long)]
     pub start_at: Option<f64>,
+    /// Frames of a session to read into memory beforehand, GiB.
+    #[arg(long, default_value_t = 2.0)]
+    pub preload_gib: f64,
     /// Seed of the faults.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
 }
 
+const GIB: f64 = 1_073_741_824.0;
+
 /// Runs until `quit` on standard input or a signal.
 pub fn run(args: &EmulateArgs) -> anyhow::Result<()> {
     let camera = CameraId::new(&args.camera)?;
-    let (shape, script) = open(args)?;
+    let (shape, script) = open(args, &camera)?;
     let faults = Faults::default().changed_by(&args.faults).context("--faults")?;
     let serial = args.serial.clone().unwrap_or_else(|| format!("EMU-{camera}"));
     let options = EmulatorOptions {
@@ -96,9 +109,13 @@ fn obey_standard_input(emulator: &Emulator) {
     }
 }
 
-fn open(args: &EmulateArgs) -> anyhow::Result<(ScriptShape, Script)> {
+fn open(args: &EmulateArgs, camera: &CameraId) -> anyhow::Result<(ScriptShape, Script)> {
     let Some(size) = args.source.strip_prefix("pattern:") else {
-        bail!("{}: not a source; use pattern:WIDTHxHEIGHT", args.source);
+        let (shape, mut script) = session_script(Path::new(&args.source), camera)?;
+        // A slow disk must not look like a slow camera: what fits is in memory before the camera answers.
+        let most = (args.preload_gib * GIB) as usize / shape.bytes().max(1);
+        let ready: Vec<_> = script.by_ref().take(most).collect();
+        return Ok((shape, Box::new(ready.into_iter().chain(script))));
     };
     let numbers = size
         .split_once('x')

@@ -1,5 +1,7 @@
 //! The command line: one file a subcommand; no mathematics.
 
+mod cameras;
+mod check;
 mod emulate;
 mod evaluate;
 mod evaluate_bound;
@@ -11,6 +13,7 @@ mod import;
 mod info;
 mod recover;
 mod replay;
+mod run;
 mod simulate;
 mod solve;
 mod solving;
@@ -39,6 +42,10 @@ pub struct Cli {
 /// Every subcommand.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    /// List GigE Vision and USB3 Vision cameras.
+    Cameras(cameras::CamerasArgs),
+    /// Check host, cameras and configuration; each line says what mends it.
+    Check(check::CheckArgs),
     /// Serve frames as a real GigE Vision camera on the network.
     Emulate(emulate::EmulateArgs),
     /// Score results against truth; the estimators' own experiments.
@@ -53,6 +60,8 @@ pub enum Command {
     Info(info::InfoArgs),
     /// Make a killed or damaged session whole again.
     Recover(recover::RecoverArgs),
+    /// The daemon: live cameras in, pitches out.
+    Run(run::RunArgs),
     /// Make a session from a scenario: stadium, cameras, pitches, noise; truth beside it.
     Simulate(simulate::SimulateArgs),
     /// Solve 2-D tracks made by any program: delays, poses, pitches.
@@ -66,6 +75,9 @@ impl Cli {
     /// Whatever stopped the command, in words for a person.
     pub fn run(&self) -> anyhow::Result<()> {
         match &self.command {
+            Command::Cameras(args) => cameras::run(args),
+            Command::Check(args) => check::run(args),
+            Command::Run(args) => run::run(args),
             Command::Emulate(args) => emulate::run(args),
             Command::Evaluate(args) => evaluate::run(args),
             Command::Export(args) => export::run(args),

@@ -1,9 +1,11 @@
 //! Reads what people write (rig files) into the rooms' own types; every error names file, line and key.
 
+mod daemon_file;
 mod nearest;
 mod portable;
 mod rig_file;
 
+pub use daemon_file::{CameraConnection, DaemonConfig, load_daemon, parse_daemon};
 pub use nearest::nearest;
 pub use portable::portable_rig;
 pub use rig_file::{load_rig, parse_rig};

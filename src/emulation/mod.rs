@@ -19,8 +19,10 @@ pub mod gvsp;
 mod registers;
 mod script;
 mod sender;
+mod session;
 
 pub use camera::{Counters, Emulator, EmulatorError, EmulatorOptions};
 pub use faults::{Drill, FaultError, Faults};
 pub use registers::Identity;
 pub use script::{Pixels, Script, ScriptShape, ScriptedFrame, pattern};
+pub use session::{ScriptError, session_script};

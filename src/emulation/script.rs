@@ -83,6 +83,9 @@ pub(super) struct Slot {
     pub pixels: Pixels,
 }
 
+/// A gap longer than this is between two clips, not a lost frame or two.
+const CLIP_GAP: Duration = Duration::from_millis(300);
+
 /// Lays a script on the host's time line. Before the script begins and after it ends the camera sees its first or
 /// last frame, at its rate: a camera does not stop because nothing happens.
 pub(super) struct Timeline {
@@ -92,6 +95,8 @@ pub(super) struct Timeline {
     epoch: Option<Instant>,
     next: Option<ScriptedFrame>,
     last: Option<Slot>,
+    /// Whether the script's next frame is one to wait for with idle exposures.
+    idle: bool,
 }
 
 impl Timeline {
@@ -102,6 +107,7 @@ impl Timeline {
             epoch,
             next: None,
             last: None,
+            idle: true,
         }
     }
 
@@ -117,23 +123,30 @@ impl Timeline {
                 return self.idle_after_end(earliest, period);
             };
             let begin = epoch + Duration::from_nanos(u64::try_from(next.begin_ns).unwrap_or(0));
-            // An idle exposure where a whole one still fits before the script's.
+            // An idle exposure where a whole one still fits before the script's: before its begin, and between clips.
+            // A shorter gap is a frame that the recording does not have, and stays one.
             let due = match &self.last {
                 Some(last) => (last.begin + period).max(earliest),
                 None => earliest,
             };
-            let idle = begin.checked_sub(period / 2).is_some_and(|latest| due < latest) && next.begin_ns == 0;
-            if idle {
+            let clip = self
+                .last
+                .as_ref()
+                .is_some_and(|last| begin.saturating_duration_since(last.begin) > CLIP_GAP);
+            self.idle = self.idle || clip;
+            if self.idle && begin.checked_sub(period / 2).is_some_and(|latest| due < latest) {
                 // On the script's own grid, counted back from its begin.
                 let ahead = begin.duration_since(due).as_secs_f64() / period.as_secs_f64();
                 let back = period.mul_f64(ahead.floor().max(1.0));
+                let shown = self.last.as_ref().map_or(&next.pixels, |last| &last.pixels);
                 let slot = Slot {
                     begin: begin - back,
-                    pixels: next.pixels.clone(),
+                    pixels: shown.clone(),
                 };
                 return Some(self.remember(slot));
             }
             let Some(next) = self.next.take() else { continue };
+            self.idle = false;
             let slot = Slot {
                 begin,
                 pixels: next.pixels,

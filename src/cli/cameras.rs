@@ -1,0 +1,113 @@
+//! `pitchd cameras`: what cameras there are.
+
+use std::net::Ipv4Addr;
+use std::time::Duration;
+
+use crate::capture::aravis::{self, Found, ListedDevice};
+
+/// List GigE Vision and USB3 Vision cameras.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Examples:
+  pitchd cameras
+  pitchd cameras --json | jq -r '.[].serial'
+  pitchd cameras --address 127.0.0.5        # asks this address alone")]
+pub struct CamerasArgs {
+    /// Ask these addresses instead of all interfaces.
+    #[arg(long, value_name = "IP")]
+    pub address: Vec<Ipv4Addr>,
+    /// JSON.
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(serde::Serialize)]
+struct Row {
+    id: String,
+    vendor: String,
+    model: String,
+    serial: String,
+    address: String,
+    user_name: String,
+    protocol: String,
+    /// Held by a program; unknown for USB.
+    in_use: Option<bool>,
+}
+
+impl From<Found> for Row {
+    fn from(found: Found) -> Self {
+        Self {
+            id: format!("{}-{}-{}", found.vendor, found.model, found.serial),
+            in_use: aravis::is_held(found.address, Duration::from_millis(200)),
+            vendor: found.vendor,
+            model: found.model,
+            serial: found.serial,
+            address: found.address.to_string(),
+            user_name: found.user_name,
+            protocol: "GigEVision".to_owned(),
+        }
+    }
+}
+
+impl From<ListedDevice> for Row {
+    fn from(device: ListedDevice) -> Self {
+        Self {
+            id: device.id,
+            vendor: device.vendor,
+            model: device.model,
+            serial: device.serial,
+            address: device.address,
+            user_name: String::new(),
+            protocol: device.protocol,
+            in_use: None,
+        }
+    }
+}
+
+/// Prints the list.
+///
+/// # Errors
+/// None of the addresses asked has a camera.
+pub fn run(args: &CamerasArgs) -> anyhow::Result<()> {
+    let mut rows: Vec<Row> = Vec::new();
+    if args.address.is_empty() {
+        rows.extend(
+            aravis::discover(Duration::from_millis(500))
+                .into_iter()
+                .map(Row::from),
+        );
+        let usb = aravis::list_devices()
+            .into_iter()
+            .filter(|d| d.protocol != "GigEVision");
+        rows.extend(usb.map(Row::from));
+    } else {
+        let patience = Duration::from_millis(300);
+        rows.extend(
+            args.address
+                .iter()
+                .filter_map(|a| aravis::ping(*a, patience))
+                .map(Row::from),
+        );
+    }
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&rows)?);
+    } else if rows.is_empty() {
+        println!("no camera found (pitchd check looks at the host)");
+    } else {
+        println!(
+            "{:<16} {:<16} {:<20} {:<16} {:<12} {:<8} id",
+            "address", "serial", "model", "name", "protocol", "in use"
+        );
+        for row in &rows {
+            let in_use = row.in_use.map_or("?", |b| if b { "yes" } else { "no" });
+            println!(
+                "{:<16} {:<16} {:<20} {:<16} {:<12} {:<8} {}",
+                row.address, row.serial, row.model, row.user_name, row.protocol, in_use, row.id
+            );
+        }
+    }
+    if rows.is_empty() && !args.address.is_empty() {
+        anyhow::bail!("no camera at {:?}", args.address);
+    }
+    Ok(())
+}

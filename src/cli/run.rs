@@ -1,0 +1,174 @@
+//! `pitchd run`: the daemon in the foreground.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use anyhow::Context;
+use sd_notify::NotifyState;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+
+use crate::capture::aravis::granted_socket_buffer;
+use crate::config::{DaemonConfig, load_daemon, load_rig};
+use crate::daemon::health::CameraState;
+use crate::daemon::pipeline::{self, Daemon};
+use crate::export::results::read_calibration;
+
+const AFTER_HELP: &str = "\
+Example:
+  pitchd run --config /etc/pitchd/pitchd.toml
+
+Pitches come as JSON lines on standard output and in RESULTS/pitches.jsonl. SIGTERM or Ctrl-C finishes the pitch in
+flight and exits 0; SIGHUP checks the configuration and says what would change with a restart.";
+
+/// Arguments of `pitchd run`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = AFTER_HELP)]
+pub struct RunArgs {
+    /// The daemon's file.
+    #[arg(long, value_name = "FILE", default_value = "/etc/pitchd/pitchd.toml")]
+    pub config: PathBuf,
+    /// Stop after this many seconds.
+    #[arg(long, value_name = "S")]
+    pub seconds: Option<f64>,
+    /// Seconds between two lines about every camera on the log; 0: none.
+    #[arg(long, value_name = "S", default_value_t = 10.0)]
+    pub status_every: f64,
+}
+
+/// Runs until a signal.
+///
+/// # Errors
+/// A configuration that cannot be used.
+pub fn run(args: &RunArgs) -> anyhow::Result<()> {
+    let config = load_daemon(&args.config)?;
+    let rig = load_rig(&config.rig)?;
+    let calibration = config.calibration.as_deref().map(read_calibration).transpose()?;
+    warn_of_small_buffers(&config);
+    let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP]).context("signal handlers")?;
+    let daemon = pipeline::start(&config, rig, calibration)?;
+    notify(&[NotifyState::Ready]);
+    supervise(args, &config, &daemon, &mut signals);
+    notify(&[NotifyState::Stopping]);
+    let health = daemon.health().to_vec();
+    let log = daemon.finish();
+    for camera in &health {
+        eprintln!("pitchd: {}", camera.line());
+    }
+    eprintln!(
+        "pitchd: {} pitches, {} lines not taken, latency p50 {} p99 {} ms",
+        log.pitches,
+        log.lines_dropped,
+        in_words(log.latency_quantile_ms(0.5)),
+        in_words(log.latency_quantile_ms(0.99))
+    );
+    Ok(())
+}
+
+fn in_words(latency_ms: Option<f64>) -> String {
+    latency_ms.map_or("–".to_owned(), |ms| format!("{ms:.1}"))
+}
+
+fn notify(states: &[NotifyState<'_>]) {
+    if let Err(error) = sd_notify::notify(states) {
+        tracing::debug!(%error, "systemd was not told");
+    }
+}
+
+fn warn_of_small_buffers(config: &DaemonConfig) {
+    let asked = config
+        .cameras
+        .iter()
+        .map(|c| c.socket_buffer_bytes)
+        .max()
+        .unwrap_or(0);
+    if let Ok(granted) = granted_socket_buffer(asked)
+        && granted < asked
+    {
+        tracing::warn!(
+            "socket buffers of {granted} bytes, {asked} were asked for: sysctl -w net.core.rmem_max={asked}"
+        );
+    }
+}
+
+/// Signals, status lines and the watchdog, until it is time to stop.
+fn supervise(args: &RunArgs, config: &DaemonConfig, daemon: &Daemon, signals: &mut Signals) {
+    let begun = Instant::now();
+    let mut told = begun;
+    let mut watchdog = Watchdog::new(daemon);
+    loop {
+        for signal in signals.pending() {
+            match signal {
+                SIGHUP => check_reload(&args.config, config),
+                _ => return,
+            }
+        }
+        if args.seconds.is_some_and(|s| begun.elapsed().as_secs_f64() >= s) {
+            return;
+        }
+        if args.status_every > 0.0 && told.elapsed().as_secs_f64() >= args.status_every {
+            told = Instant::now();
+            for camera in daemon.health() {
+                tracing::info!("{}", camera.line());
+            }
+        }
+        watchdog.feed(daemon);
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+/// Feeds systemd's watchdog only while frames are really processed: of every camera that streams, more than before.
+struct Watchdog {
+    every: Option<Duration>,
+    fed: Instant,
+    processed: Vec<u64>,
+}
+
+impl Watchdog {
+    fn new(daemon: &Daemon) -> Self {
+        Self {
+            every: sd_notify::watchdog_enabled().map(|limit| limit / 3),
+            fed: Instant::now(),
+            processed: vec![0; daemon.health().len()],
+        }
+    }
+
+    fn feed(&mut self, daemon: &Daemon) {
+        let Some(every) = self.every.filter(|every| self.fed.elapsed() >= *every) else {
+            return;
+        };
+        let now: Vec<u64> = daemon
+            .health()
+            .iter()
+            .map(|h| h.processed.load(Ordering::Relaxed))
+            .collect();
+        let stuck = daemon
+            .health()
+            .iter()
+            .zip(now.iter().zip(&self.processed))
+            .any(|(h, (now, before))| h.state() == CameraState::Streaming && now == before);
+        if !stuck {
+            self.fed = Instant::now();
+            self.processed = now;
+            let streaming = daemon
+                .health()
+                .iter()
+                .filter(|h| h.state() == CameraState::Streaming)
+                .count();
+            let status = format!("{streaming} of {} cameras streaming", daemon.health().len());
+            notify(&[NotifyState::Watchdog, NotifyState::Status(&status)]);
+        } else if self.fed.elapsed() >= every {
+            tracing::warn!("a streaming camera's frames are not processed: the watchdog is not fed");
+        }
+    }
+}
+
+/// A broken file changes nothing; a good one is compared with what runs.
+fn check_reload(path: &Path, running: &DaemonConfig) {
+    match load_daemon(path).and_then(|new| load_rig(&new.rig).map(|_| new)) {
+        Err(error) => tracing::error!("reload refused, nothing has changed: {error}"),
+        Ok(new) if new == *running => tracing::info!("reload: nothing has changed"),
+        Ok(_) => tracing::warn!("reload: the file is good, but its changes need a restart"),
+    }
+}

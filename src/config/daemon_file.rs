@@ -1,0 +1,249 @@
+//! The daemon's file (`pitchd.toml`): which camera is which, what to calibrate from, where results go. Strict.
+
+use std::net::Ipv4Addr;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+
+use super::{ConfigError, line_of};
+use crate::scene::CameraId;
+
+/// One camera's connection.
+#[derive(Debug, Clone, PartialEq)]
+pub struct CameraConnection {
+    /// Camera of the rig.
+    pub id: CameraId,
+    /// Serial number.
+    pub serial: Option<String>,
+    /// IP address.
+    pub address: Option<Ipv4Addr>,
+    /// User-defined name in the camera.
+    pub user_name: Option<String>,
+    /// First column and row of the region on the sensor.
+    pub offset_px: (u32, u32),
+    /// Gain, decibels.
+    pub gain_db: Option<f64>,
+    /// Packet size; none: negotiated.
+    pub packet_size: Option<u32>,
+    /// Frames in the pool.
+    pub buffers: usize,
+    /// Socket buffer, bytes.
+    pub socket_buffer_bytes: usize,
+    /// Real-time priority; 0: ordinary.
+    pub realtime_priority: u8,
+    /// `udp` or `packet`.
+    pub packet_socket: bool,
+    /// PTP where the camera has it.
+    pub ptp: bool,
+}
+
+/// The daemon's file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DaemonConfig {
+    /// The file itself.
+    pub path: PathBuf,
+    /// Rig file, made absolute.
+    pub rig: PathBuf,
+    /// A calibration to begin with.
+    pub calibration: Option<PathBuf>,
+    /// Folder for pitches.jsonl and calibration.json.
+    pub results: PathBuf,
+    /// Pitches before the first calibration.
+    pub first_pitches: usize,
+    /// Pitches a calibration looks back on.
+    pub window_pitches: usize,
+    /// New pitches before the next calibration.
+    pub recalibrate_every: usize,
+    /// Cameras, at least one, ids and addresses unique.
+    pub cameras: Vec<CameraConnection>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DaemonFile {
+    rig: String,
+    calibration: Option<String>,
+    #[serde(default = "default_results")]
+    results: String,
+    #[serde(default)]
+    calibrate: CalibrateFile,
+    #[serde(default)]
+    camera: Vec<CameraFile>,
+}
+
+fn default_results() -> String {
+    "pitchd-results".to_owned()
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct CalibrateFile {
+    first_pitches: usize,
+    window_pitches: usize,
+    every_pitches: usize,
+}
+
+impl Default for CalibrateFile {
+    fn default() -> Self {
+        Self {
+            first_pitches: 4,
+            window_pitches: 16,
+            every_pitches: 8,
+        }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CameraFile {
+    id: toml::Spanned<String>,
+    serial: Option<String>,
+    address: Option<Ipv4Addr>,
+    user_name: Option<String>,
+    offset_px: Option<[u32; 2]>,
+    gain_db: Option<f64>,
+    packet_size: Option<toml::Spanned<u32>>,
+    buffers: Option<toml::Spanned<usize>>,
+    socket_buffer_mib: Option<usize>,
+    realtime_priority: Option<u8>,
+    #[serde(default)]
+    packet_socket: bool,
+    #[serde(default)]
+    ptp: bool,
+}
+
+/// Reads and checks a daemon file.
+///
+/// # Errors
+/// [`ConfigError`] with file, line and key.
+pub fn load_daemon(path: &Path) -> Result<DaemonConfig, ConfigError> {
+    let text = std::fs::read_to_string(path).map_err(|source| ConfigError::Unreadable {
+        path: path.to_owned(),
+        source,
+    })?;
+    parse_daemon(path, &text)
+}
+
+/// As [`load_daemon`], from a text that came from `path`.
+///
+/// # Errors
+/// As [`load_daemon`].
+pub fn parse_daemon(path: &Path, text: &str) -> Result<DaemonConfig, ConfigError> {
+    let file: DaemonFile = toml::from_str(text).map_err(|e| ConfigError::from_toml(path, text, &e))?;
+    let beside = |name: &str| path.parent().unwrap_or(Path::new(".")).join(name);
+    let mut cameras: Vec<CameraConnection> = Vec::with_capacity(file.camera.len());
+    for camera in &file.camera {
+        let at = camera.id.span().start;
+        let invalid = |offset: usize, reason: String| ConfigError::Invalid {
+            path: path.to_owned(),
+            line: line_of(text, offset),
+            reason,
+        };
+        let id = CameraId::new(camera.id.get_ref()).map_err(|e| invalid(at, e.to_string()))?;
+        if cameras.iter().any(|c| c.id == id) {
+            return Err(invalid(at, format!("camera `{id}` is there twice")));
+        }
+        if camera.serial.is_none() && camera.address.is_none() && camera.user_name.is_none() {
+            return Err(invalid(
+                at,
+                format!("camera `{id}`: give serial, address or user_name"),
+            ));
+        }
+        let same = cameras.iter().find(|c| {
+            (c.serial.is_some() && c.serial == camera.serial)
+                || (c.address.is_some() && c.address == camera.address)
+        });
+        if let Some(other) = same {
+            return Err(invalid(
+                at,
+                format!("cameras `{}` and `{id}` are the same device", other.id),
+            ));
+        }
+        if let Some(size) = &camera.packet_size
+            && !(576..=65500).contains(size.get_ref())
+        {
+            return Err(invalid(size.span().start, "packet_size: 576 to 65500".to_owned()));
+        }
+        if let Some(buffers) = &camera.buffers
+            && !(8..=4096).contains(buffers.get_ref())
+        {
+            return Err(invalid(buffers.span().start, "buffers: 8 to 4096".to_owned()));
+        }
+        cameras.push(CameraConnection {
+            id,
+            serial: camera.serial.clone(),
+            address: camera.address,
+            user_name: camera.user_name.clone(),
+            offset_px: camera.offset_px.map_or((0, 0), |[x, y]| (x, y)),
+            gain_db: camera.gain_db,
+            packet_size: camera.packet_size.as_ref().map(|s| *s.get_ref()),
+            buffers: camera.buffers.as_ref().map_or(48, |b| *b.get_ref()),
+            socket_buffer_bytes: camera.socket_buffer_mib.unwrap_or(32).clamp(1, 1024) << 20,
+            realtime_priority: camera.realtime_priority.unwrap_or(20).min(90),
+            packet_socket: camera.packet_socket,
+            ptp: camera.ptp,
+        });
+    }
+    if cameras.is_empty() {
+        return Err(ConfigError::Inconsistent {
+            path: path.to_owned(),
+            reason: "no [[camera]]".to_owned(),
+        });
+    }
+    let calibrate = file.calibrate;
+    Ok(DaemonConfig {
+        path: path.to_owned(),
+        rig: beside(&file.rig),
+        calibration: file.calibration.as_deref().map(beside),
+        results: beside(&file.results),
+        first_pitches: calibrate.first_pitches.max(1),
+        window_pitches: calibrate.window_pitches.max(calibrate.first_pitches.max(1)),
+        recalibrate_every: calibrate.every_pitches.max(1),
+        cameras,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOOD: &str = "rig = \"rig.toml\"\n[[camera]]\nid = \"first\"\naddress = \"10.0.0.5\"\n[[camera]]\nid = \"third\"\nserial = \"A7\"\n";
+
+    #[test]
+    fn a_file_is_read_with_its_defaults() {
+        let config = parse_daemon(Path::new("/etc/pitchd/pitchd.toml"), GOOD).unwrap();
+        assert_eq!(config.rig, Path::new("/etc/pitchd/rig.toml"));
+        assert_eq!(config.cameras.len(), 2);
+        assert_eq!(config.cameras[1].serial.as_deref(), Some("A7"));
+        assert_eq!(
+            (config.first_pitches, config.cameras[0].socket_buffer_bytes),
+            (4, 32 << 20)
+        );
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_with_its_line() {
+        for (wrong, line, part) in [
+            (GOOD.replace("serial = \"A7\"", "serail = \"A7\""), 7, "serial"),
+            (GOOD.replace("\"third\"", "\"first\""), 6, "twice"),
+            (
+                GOOD.replace("serial = \"A7\"", "address = \"10.0.0.5\""),
+                6,
+                "same device",
+            ),
+            (GOOD.replace("serial = \"A7\"", "gain_db = 1.0"), 6, "give serial"),
+            (
+                GOOD.replace("serial = \"A7\"", "serial = \"A7\"\npacket_size = 90"),
+                8,
+                "packet_size",
+            ),
+            (GOOD.replace("10.0.0.5", "10.0.0"), 4, ""),
+        ] {
+            let error = parse_daemon(Path::new("p.toml"), &wrong).unwrap_err().to_string();
+            assert!(
+                error.starts_with(&format!("p.toml:{line}: ")) && error.contains(part),
+                "{error}"
+            );
+        }
+    }
+}

@@ -1,0 +1,345 @@
+//! Tracks of all cameras to pitches as they happen: grouping, solving, and asking for calibrations.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
+
+use super::batch::{BatchOptions, solve_tracks};
+use super::health::{CameraHealth, CameraState};
+use super::watcher::SeenTrack;
+use crate::scene::{Calibration, CameraId, Pitch, Rig, Track, WorldFrame};
+use crate::time::{ArrivalTime, HostClock, SystemClock};
+
+/// When pitches are calibrated from.
+#[derive(Debug, Clone, Copy)]
+pub struct CalibrationPlan {
+    /// Pitches before the first.
+    pub first_pitches: usize,
+    /// Pitches looked back on.
+    pub window_pitches: usize,
+    /// New pitches before the next.
+    pub every_pitches: usize,
+}
+
+/// A pitch as it is published.
+#[derive(Debug, Clone)]
+pub struct Published {
+    /// The pitch.
+    pub pitch: Pitch,
+    /// From the arrival of the last frame it needed to here, milliseconds; `None` where it waited for a calibration.
+    pub latency_ms: Option<f64>,
+}
+
+/// Work for the calibration worker.
+pub struct CalibrationRequest {
+    tracks: Vec<Track>,
+    epochs: Epochs,
+    version: u32,
+}
+
+/// Its answer.
+pub struct CalibrationAnswer {
+    calibration: Option<Calibration>,
+    epochs: Epochs,
+    reason: String,
+}
+
+/// Clock epoch per camera.
+type Epochs = BTreeMap<CameraId, u32>;
+
+/// Tracks this close in time may be one ball: cameras see different parts of a flight.
+const TOGETHER_S: f64 = 0.6;
+/// After a camera's track the others have this long for theirs.
+const PATIENCE: Duration = Duration::from_millis(300);
+
+/// A pitch in the making, or made.
+struct Ball {
+    tracks: Vec<SeenTrack>,
+    published: Option<u32>,
+}
+
+/// The assembler's thread.
+pub struct Assembler {
+    /// The rig, its cameras' stamps taken as roughly alike.
+    pub rig: Rig,
+    /// The calibration in use, with the clock epochs it holds for.
+    pub calibration: Option<(Calibration, Epochs)>,
+    /// When to calibrate.
+    pub plan: CalibrationPlan,
+    /// State of every camera.
+    pub health: Vec<Arc<CameraHealth>>,
+    /// To the worker; holds one request.
+    pub requests: Sender<CalibrationRequest>,
+    /// To the publisher.
+    pub publish: Sender<Published>,
+    /// To the keeper of calibrations.
+    pub versions: Sender<Calibration>,
+}
+
+/// What the assembler keeps.
+#[derive(Default)]
+struct Desk {
+    open: Vec<(Ball, Instant)>,
+    window: VecDeque<Ball>,
+    numbers: u32,
+    since_calibration: usize,
+    waiting: bool,
+    version: u32,
+}
+
+impl Assembler {
+    /// Runs until all cameras' tracks have ended; a pitch in the making is finished first.
+    pub fn run(mut self, tracks: &Receiver<SeenTrack>, answers: &Receiver<CalibrationAnswer>) {
+        let mut desk = Desk {
+            version: self.calibration.as_ref().map_or(0, |c| c.0.version),
+            ..Desk::default()
+        };
+        loop {
+            match tracks.recv_timeout(Duration::from_millis(20)) {
+                Ok(seen) => self.take(seen, &mut desk),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+            while let Ok(answer) = answers.try_recv() {
+                self.adopt(answer, &mut desk);
+            }
+            self.close_ripe(&mut desk, Ripe::WhenReady);
+        }
+        self.close_ripe(&mut desk, Ripe::Now);
+        if desk.waiting
+            && let Ok(answer) = answers.recv_timeout(Duration::from_secs(20))
+        {
+            self.adopt(answer, &mut desk);
+        }
+    }
+
+    fn take(&self, seen: SeenTrack, desk: &mut Desk) {
+        let Some((begin, end)) = seen.track.span() else {
+            return;
+        };
+        let near = desk.open.iter_mut().find(|(ball, _)| {
+            ball.tracks.iter().filter_map(|t| t.track.span()).any(|(b, e)| {
+                begin.seconds_since(e.nanos()) < TOGETHER_S && b.seconds_since(end.nanos()) < TOGETHER_S
+            })
+        });
+        match near {
+            Some((ball, since)) => {
+                ball.tracks.push(seen);
+                *since = Instant::now();
+            }
+            None => {
+                let ball = Ball {
+                    tracks: vec![seen],
+                    published: None,
+                };
+                desk.open.push((ball, Instant::now()));
+            }
+        }
+    }
+
+    /// Closes balls that every streaming camera has told of, or that have waited long enough.
+    fn close_ripe(&mut self, desk: &mut Desk, when: Ripe) {
+        let streaming: Vec<_> = self
+            .health
+            .iter()
+            .filter(|h| h.state() == CameraState::Streaming)
+            .map(|h| &h.camera)
+            .collect();
+        let ripe = |(ball, since): &(Ball, Instant)| {
+            let complete = streaming
+                .iter()
+                .all(|c| ball.tracks.iter().any(|t| t.track.camera == **c));
+            when == Ripe::Now || (complete && ball.tracks.len() > 1) || since.elapsed() > PATIENCE
+        };
+        let (ready, open) = std::mem::take(&mut desk.open).into_iter().partition(ripe);
+        desk.open = open;
+        let ready: Vec<(Ball, Instant)> = ready;
+        for (ball, _) in ready {
+            self.close(ball, desk);
+        }
+    }
+
+    fn close(&mut self, mut ball: Ball, desk: &mut Desk) {
+        let cameras: std::collections::BTreeSet<_> = ball.tracks.iter().map(|t| &t.track.camera).collect();
+        if cameras.len() < 2 {
+            let track = ball
+                .tracks
+                .first()
+                .map(|t| (t.track.camera.to_string(), t.track.points.len()));
+            tracing::info!(?track, "a ball that one camera alone has seen");
+            return;
+        }
+        self.solve(&mut ball, desk, Wait::Live);
+        desk.window.push_back(ball);
+        desk.since_calibration += 1;
+        while desk.window.len() > self.plan.window_pitches {
+            desk.window.pop_front();
+        }
+        self.ask(desk);
+    }
+
+    /// Solves a ball with the calibration in use, by the cameras whose clocks it still holds for.
+    fn solve(&self, ball: &mut Ball, desk: &mut Desk, wait: Wait) {
+        let Some((calibration, epochs)) = &self.calibration else {
+            return;
+        };
+        let valid: Vec<Track> = ball
+            .tracks
+            .iter()
+            .filter(|t| epochs.get(&t.track.camera) == Some(&t.clock_epoch))
+            .map(|t| t.track.clone())
+            .collect();
+        let options = BatchOptions {
+            calibration: Some(calibration.clone()),
+            ..BatchOptions::default()
+        };
+        let batch = match solve_tracks(&self.rig, &valid, &options) {
+            Ok(batch) => batch,
+            Err(error) => {
+                tracing::warn!(%error, "a ball was not solved");
+                return;
+            }
+        };
+        for warning in &batch.warnings {
+            tracing::debug!("{warning}");
+        }
+        for mut pitch in batch.pitches {
+            let number = ball.published.unwrap_or(desk.numbers + 1);
+            desk.numbers = desk.numbers.max(number);
+            ball.published = Some(number);
+            pitch.pitch = number;
+            let complete = ball.tracks.iter().map(|t| t.complete).max();
+            let latency_ms = complete.filter(|_| wait == Wait::Live).map(latency_ms);
+            if self.publish.try_send(Published { pitch, latency_ms }).is_err() {
+                tracing::error!(number, "a pitch could not be published: the queue is full");
+            }
+        }
+    }
+
+    fn current_epochs(desk: &Desk) -> Epochs {
+        let mut epochs = Epochs::new();
+        for seen in desk.window.iter().flat_map(|b| &b.tracks) {
+            let newest = epochs
+                .entry(seen.track.camera.clone())
+                .or_insert(seen.clock_epoch);
+            *newest = seen.clock_epoch.max(*newest);
+        }
+        epochs
+    }
+
+    /// Asks for a calibration when there is none, when it has aged, or when a camera's clock began anew.
+    fn ask(&self, desk: &mut Desk) {
+        let epochs = Self::current_epochs(desk);
+        let is_valid = |t: &SeenTrack| epochs.get(&t.track.camera) == Some(&t.clock_epoch);
+        // Pitches that two cameras saw with their present clocks.
+        let shared = |camera: &CameraId| {
+            let has = |b: &&Ball| b.tracks.iter().any(|t| is_valid(t) && t.track.camera == *camera);
+            let others = |b: &&Ball| b.tracks.iter().any(|t| is_valid(t) && t.track.camera != *camera);
+            desk.window.iter().filter(|b| has(b) && others(b)).count()
+        };
+        let enough = epochs
+            .keys()
+            .filter(|c| shared(c) >= self.plan.first_pitches)
+            .count();
+        let stale = match &self.calibration {
+            None => true,
+            Some((_, held)) => {
+                desk.since_calibration >= self.plan.every_pitches
+                    || epochs
+                        .iter()
+                        .any(|(c, e)| held.get(c) != Some(e) && shared(c) >= self.plan.first_pitches)
+            }
+        };
+        if desk.waiting || !stale || enough < 2 {
+            return;
+        }
+        let tracks = desk
+            .window
+            .iter()
+            .flat_map(|b| b.tracks.iter().filter(|t| is_valid(t)).map(|t| t.track.clone()))
+            .collect();
+        let request = CalibrationRequest {
+            tracks,
+            epochs,
+            version: desk.version + 1,
+        };
+        desk.waiting = self.requests.try_send(request).is_ok();
+    }
+
+    fn adopt(&mut self, answer: CalibrationAnswer, desk: &mut Desk) {
+        desk.waiting = false;
+        desk.since_calibration = 0;
+        let Some(calibration) = answer.calibration else {
+            tracing::warn!("no new calibration, the last good one stays: {}", answer.reason);
+            return;
+        };
+        desk.version = calibration.version;
+        tracing::info!(version = calibration.version, "a calibration is in use");
+        if self.versions.try_send(calibration.clone()).is_err() {
+            tracing::error!("a calibration could not be handed on to be kept");
+        }
+        self.calibration = Some((calibration, answer.epochs));
+        // What could not be solved before is solved now.
+        let mut window = std::mem::take(&mut desk.window);
+        for ball in window.iter_mut().filter(|b| b.published.is_none()) {
+            self.solve(ball, desk, Wait::ForCalibration);
+        }
+        desk.window = window;
+    }
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Ripe {
+    WhenReady,
+    Now,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Wait {
+    Live,
+    ForCalibration,
+}
+
+fn latency_ms(complete: ArrivalTime) -> f64 {
+    1e-6 * SystemClock.monotonic().nanos().saturating_sub(complete.nanos()) as f64
+}
+
+/// The calibration worker's thread: one request at a time, never in the way of a pitch.
+pub fn calibrate(rig: &Rig, requests: &Receiver<CalibrationRequest>, answers: &Sender<CalibrationAnswer>) {
+    for request in requests {
+        let begun = Instant::now();
+        let made = solve_tracks(rig, &request.tracks, &BatchOptions::default());
+        let (calibration, reason) = match made {
+            Ok(batch) if batch.calibration.world != WorldFrame::HomePlate => (
+                None,
+                "the rig's landmarks do not fix the home-plate frame".to_owned(),
+            ),
+            Ok(batch) => {
+                let mut calibration = batch.calibration;
+                calibration.version = request.version;
+                tracing::info!(
+                    pitches = batch.flights.len(),
+                    seconds = begun.elapsed().as_secs_f64(),
+                    "calibrated"
+                );
+                (Some(calibration), String::new())
+            }
+            Err(error) => (None, error.to_string()),
+        };
+        let answer = CalibrationAnswer {
+            calibration,
+            epochs: request.epochs,
+            reason,
+        };
+        if answers.send(answer).is_err() {
+            return;
+        }
+    }
+}
+
+/// The epochs that a calibration read from a file holds for: each camera's first.
+pub fn first_epochs(calibration: &Calibration) -> Epochs {
+    calibration.cameras.iter().map(|c| (c.id.clone(), 0)).collect()
+}

@@ -1,0 +1,112 @@
+//! What every camera's threads tell about themselves: state and counters, written by one thread, read by anyone.
+
+use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+
+use crate::scene::CameraId;
+
+/// Where a camera stands (design §6).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+#[repr(u8)]
+pub enum CameraState {
+    /// Nobody answers.
+    Absent = 0,
+    /// Being opened.
+    Connecting = 1,
+    /// Frames come.
+    Streaming = 2,
+    /// It answers, but no frames come.
+    Degraded = 3,
+    /// It has just been lost.
+    Lost = 4,
+    /// Refused; waiting before the next try.
+    Backoff = 5,
+}
+
+impl CameraState {
+    fn of(number: u8) -> Self {
+        match number {
+            1 => Self::Connecting,
+            2 => Self::Streaming,
+            3 => Self::Degraded,
+            4 => Self::Lost,
+            5 => Self::Backoff,
+            _ => Self::Absent,
+        }
+    }
+}
+
+/// One camera's health.
+#[derive(Debug)]
+pub struct CameraHealth {
+    /// Whose.
+    pub camera: CameraId,
+    state: AtomicU8,
+    /// Whole frames from the camera.
+    pub frames: AtomicU64,
+    /// Frames the camera, the link or the receiver lost.
+    pub missing: AtomicU64,
+    /// Of those: packets missing in spite of resends.
+    pub incomplete: AtomicU64,
+    /// Of those: no free buffer.
+    pub underruns: AtomicU64,
+    /// Whole frames dropped because detection was busy.
+    pub dropped: AtomicU64,
+    /// Frames that went through detection.
+    pub processed: AtomicU64,
+    /// Frames that detection refused.
+    pub refused: AtomicU64,
+    /// Tracks of pitched balls.
+    pub tracks: AtomicU64,
+    /// Times the camera was lost.
+    pub losses: AtomicU64,
+    /// Latest frame: from arrival of its first packet to the end of detection, microseconds.
+    pub latency_us: AtomicU64,
+}
+
+impl CameraHealth {
+    /// A camera not yet seen.
+    pub fn new(camera: CameraId) -> Self {
+        Self {
+            camera,
+            state: AtomicU8::new(0),
+            frames: AtomicU64::new(0),
+            missing: AtomicU64::new(0),
+            incomplete: AtomicU64::new(0),
+            underruns: AtomicU64::new(0),
+            dropped: AtomicU64::new(0),
+            processed: AtomicU64::new(0),
+            refused: AtomicU64::new(0),
+            tracks: AtomicU64::new(0),
+            losses: AtomicU64::new(0),
+            latency_us: AtomicU64::new(0),
+        }
+    }
+    /// Where it stands.
+    pub fn state(&self) -> CameraState {
+        CameraState::of(self.state.load(Ordering::Relaxed))
+    }
+    /// Goes to a state; answers whether it is another one.
+    pub fn set_state(&self, state: CameraState) -> bool {
+        self.state.swap(state as u8, Ordering::Relaxed) != state as u8
+    }
+    /// One line for people: everything that was lost, by cause.
+    pub fn line(&self) -> String {
+        let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
+        format!(
+            "{} {:?}: {} frames, {} processed, {} missing ({} incomplete, {} without buffer), {} dropped before detection, \
+             {} refused, {} tracks, lost {} times",
+            self.camera,
+            self.state(),
+            get(&self.frames),
+            get(&self.processed),
+            get(&self.missing),
+            get(&self.incomplete),
+            get(&self.underruns),
+            get(&self.dropped),
+            get(&self.refused),
+            get(&self.tracks),
+            get(&self.losses),
+        )
+    }
+}

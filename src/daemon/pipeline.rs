@@ -1,0 +1,240 @@
+//! The whole daemon on one page: every thread, every queue, who stops whom.
+//!
+//! ```text
+//! cap-<id> ─(1)─► eye-<id> ─┐
+//! cap-<id> ─(1)─► eye-<id> ─┼─(2)─► assemble ─(5)─► publish ─(6)─► print
+//!     …               …     ┘        │    ▲    ─(7)─►   │
+//!                                   (3)  (4)            └─► pitches.jsonl, calibration.json
+//!                                    ▼    │
+//!                                   calibrate
+//! ```
+//!
+//! | thread | takes | gives | queue | when that is full |
+//! |---|---|---|---|---|
+//! | `cap-<id>` | the camera | frames (in place, from its pool) | (1) 24 frames | the frame is dropped, counted as `dropped` |
+//! | `eye-<id>` | frames | tracks of balls | (2) 256 tracks | waits; (1) then drops |
+//! | `assemble` | tracks, (4) | pitches | (5) 64 pitches | the pitch is not published, logged as an error |
+//! | | | requests | (3) 1 request | asked again with the next pitch |
+//! | | | calibrations | (7) 8 | logged as an error; the calibration is used all the same |
+//! | `calibrate` | requests | answers | (4) 1 answer | waits |
+//! | `publish` | pitches | file, lines | (6) 64 lines | the line is dropped, counted |
+//! | `print` | lines | standard output | – | blocks alone |
+//!
+//! Stopping is closing: capture threads stop, each closes its queue, and the end travels downstream in the order
+//! frames do; a pitch in flight is finished on the way.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+
+use crossbeam_channel::{Sender, bounded};
+
+use super::assemble::{self, Assembler, CalibrationPlan};
+use super::health::CameraHealth;
+use super::publish::{self, PublishLog};
+use super::supervise::Supervisor;
+use super::watcher::{self, SeenTrack};
+use crate::capture::aravis::{CameraAddress, LiveOptions, PacketPath, Ptp};
+use crate::config::{CameraConnection, DaemonConfig};
+use crate::eye::EyeConfig;
+use crate::scene::{Calibration, Rig};
+
+/// Why the daemon cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum DaemonError {
+    /// A connection to a camera that the rig does not have.
+    #[error("{file}: camera `{camera}` is not in the rig {rig}")]
+    NotInRig {
+        /// Daemon file.
+        file: String,
+        /// Camera.
+        camera: String,
+        /// Rig file.
+        rig: String,
+    },
+    /// No thread to be had.
+    #[error("thread {name}: {source}")]
+    Thread {
+        /// Its name.
+        name: String,
+        /// The system's words.
+        source: std::io::Error,
+    },
+}
+
+/// A running daemon.
+pub struct Daemon {
+    stop: Arc<AtomicBool>,
+    health: Vec<Arc<CameraHealth>>,
+    threads: Vec<JoinHandle<()>>,
+    publisher: JoinHandle<PublishLog>,
+}
+
+/// Makes every queue and starts every thread.
+///
+/// # Errors
+/// [`DaemonError`].
+pub fn start(
+    config: &DaemonConfig,
+    rig: Rig,
+    calibration: Option<Calibration>,
+) -> Result<Daemon, DaemonError> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let mut threads = Vec::new();
+    let (tracks_in, tracks) = bounded::<SeenTrack>(256);
+    let (requests_in, requests) = bounded(1);
+    let (answers_in, answers) = bounded(1);
+    let (pitches_in, pitches) = bounded(64);
+    let (versions_in, versions) = bounded(8);
+    let (lines_in, lines) = bounded::<String>(64);
+
+    let rig = with_stamps_roughly_alike(rig);
+    let mut health = Vec::new();
+    let mut captures = Vec::new();
+    for connection in &config.cameras {
+        let options = live_options(config, connection, &rig)?;
+        let own = Arc::new(CameraHealth::new(connection.id.clone()));
+        let (frames_in, frames) = bounded(24);
+        let supervisor = Supervisor {
+            options,
+            frames: frames_in,
+            health: own.clone(),
+            stop: stop.clone(),
+        };
+        captures.push((format!("cap-{}", connection.id), supervisor));
+        let (eye_health, eye_tracks): (_, Sender<SeenTrack>) = (own.clone(), tracks_in.clone());
+        threads.push(named(format!("eye-{}", connection.id), move || {
+            watcher::watch(&frames, &eye_tracks, &EyeConfig::default(), &eye_health);
+        })?);
+        health.push(own);
+    }
+    drop(tracks_in);
+
+    let assembler = Assembler {
+        rig: rig.clone(),
+        calibration: calibration.map(|c| {
+            let epochs = assemble::first_epochs(&c);
+            (c, epochs)
+        }),
+        plan: CalibrationPlan {
+            first_pitches: config.first_pitches,
+            window_pitches: config.window_pitches,
+            every_pitches: config.recalibrate_every,
+        },
+        health: health.clone(),
+        requests: requests_in,
+        publish: pitches_in,
+        versions: versions_in,
+    };
+    threads.push(named("assemble".into(), move || {
+        assembler.run(&tracks, &answers)
+    })?);
+    threads.push(named("calibrate".into(), move || {
+        assemble::calibrate(&rig, &requests, &answers_in);
+    })?);
+    threads.push(named("print".into(), move || publish::print(&lines))?);
+    let folder = config.results.clone();
+    let publisher = spawn("publish".into(), move || {
+        publish::publish(&folder, &pitches, &versions, &lines_in)
+    })?;
+    // Cameras last: everything downstream is ready for their first frame.
+    for (name, supervisor) in captures {
+        threads.push(named(name, move || supervisor.run())?);
+    }
+    Ok(Daemon {
+        stop,
+        health,
+        threads,
+        publisher,
+    })
+}
+
+impl Daemon {
+    /// Health of every camera.
+    pub fn health(&self) -> &[Arc<CameraHealth>] {
+        &self.health
+    }
+
+    /// Asks every camera to stop; what they have sent is finished.
+    pub fn request_stop(&self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+
+    /// Stops, waits for the last pitch, and tells what was published.
+    pub fn finish(self) -> PublishLog {
+        self.request_stop();
+        let Self {
+            threads, publisher, ..
+        } = self;
+        let log = publisher.join().unwrap_or_default();
+        for thread in threads {
+            // `print` may be blocked by a reader that stands still: it is left to the process's end.
+            if thread.thread().name() != Some("print") && thread.join().is_err() {
+                tracing::error!("a thread ended by a panic");
+            }
+        }
+        log
+    }
+}
+
+fn spawn<T: Send + 'static>(
+    name: String,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<JoinHandle<T>, DaemonError> {
+    let thread = std::thread::Builder::new().name(name.clone()).spawn(work);
+    thread.map_err(|source| DaemonError::Thread { name, source })
+}
+
+fn named(name: String, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, DaemonError> {
+    spawn(name, work)
+}
+
+/// Live stamps are all on the host's clock: what is left between cameras is a transfer time of some milliseconds.
+fn with_stamps_roughly_alike(mut rig: Rig) -> Rig {
+    for camera in &mut rig.cameras {
+        camera.time_offset_s = Some(0.0);
+    }
+    rig
+}
+
+fn live_options(
+    config: &DaemonConfig,
+    connection: &CameraConnection,
+    rig: &Rig,
+) -> Result<LiveOptions, DaemonError> {
+    let setup = rig.camera(&connection.id).ok_or_else(|| DaemonError::NotInRig {
+        file: config.path.display().to_string(),
+        camera: connection.id.to_string(),
+        rig: config.rig.display().to_string(),
+    })?;
+    let which = CameraAddress {
+        serial: connection.serial.clone(),
+        address: connection.address,
+        user_name: connection.user_name.clone(),
+    };
+    Ok(LiveOptions {
+        offset_px: connection.offset_px,
+        exposure_s: setup.exposure_s,
+        gain_db: connection.gain_db,
+        packet_size: connection.packet_size,
+        path: if connection.packet_socket {
+            PacketPath::PacketSocket
+        } else {
+            PacketPath::UdpSocket
+        },
+        socket_buffer_bytes: connection.socket_buffer_bytes,
+        buffers: connection.buffers,
+        realtime_priority: (connection.realtime_priority > 0).then_some(connection.realtime_priority),
+        ptp: if connection.ptp {
+            Ptp::WhereAvailable
+        } else {
+            Ptp::Off
+        },
+        ..LiveOptions::new(
+            connection.id.clone(),
+            which,
+            (setup.width_px, setup.height_px),
+            setup.frame_rate_hz,
+        )
+    })
+}

@@ -1,0 +1,162 @@
+//! One camera's capture thread: absent → connecting → streaming → degraded → lost → backoff → connecting.
+//!
+//! A camera's trouble is its own: nothing here waits for another camera, and nothing in the way of a frame blocks.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use crossbeam_channel::{Sender, TrySendError};
+
+use super::health::{CameraHealth, CameraState};
+use crate::capture::aravis::{CameraMemory, LiveCamera, LiveError, LiveFrame, LiveOptions, Next};
+use crate::time::SystemClock;
+
+/// Longest wait for one frame before looking around.
+const LOOK_AROUND: Duration = Duration::from_millis(100);
+/// Silence after which the camera is asked whether it is alive; the answer takes up to 0.3 s more.
+const SILENCE: Duration = Duration::from_millis(600);
+/// A camera that answers but sends nothing for this long is opened anew.
+const FROZEN: Duration = Duration::from_secs(6);
+const BACKOFF_FIRST: Duration = Duration::from_millis(250);
+const BACKOFF_MOST: Duration = Duration::from_secs(2);
+
+/// A camera's capture thread.
+pub struct Supervisor {
+    /// How to open it.
+    pub options: LiveOptions,
+    /// Where frames go; when it is full the frame is dropped and counted.
+    pub frames: Sender<LiveFrame>,
+    /// What it tells.
+    pub health: Arc<CameraHealth>,
+    /// Set: stop.
+    pub stop: Arc<AtomicBool>,
+}
+
+/// How a connection ended.
+enum End {
+    Stopped,
+    Lost,
+}
+
+impl Supervisor {
+    /// Runs until told to stop; dropping `frames` then tells the end downstream.
+    pub fn run(self) {
+        let mut memory = CameraMemory::default();
+        let mut backoff = BACKOFF_FIRST;
+        let mut said = String::new();
+        while !self.stopped() {
+            if self.health.state() != CameraState::Absent {
+                self.health.set_state(CameraState::Connecting);
+            }
+            match LiveCamera::start(&self.options, &mut memory) {
+                Ok(camera) => {
+                    tracing::info!(
+                        camera = %self.options.camera, address = %camera.address(), model = camera.model(),
+                        packet_size = camera.packet_size(), "streaming"
+                    );
+                    (backoff, said) = (BACKOFF_FIRST, String::new());
+                    if matches!(self.stream(camera, &mut memory), End::Stopped) {
+                        return;
+                    }
+                }
+                Err(error) => {
+                    let absent = matches!(error, LiveError::Absent { .. });
+                    self.health.set_state(if absent {
+                        CameraState::Absent
+                    } else {
+                        CameraState::Backoff
+                    });
+                    // Once per reason, not once per try.
+                    let text = error.to_string();
+                    if text != said {
+                        tracing::warn!("{text}");
+                        said = text;
+                    }
+                    self.sleep(backoff);
+                    backoff = (backoff * 3 / 2).min(BACKOFF_MOST);
+                }
+            }
+        }
+    }
+
+    fn stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    fn sleep(&self, time: Duration) {
+        let until = Instant::now() + time;
+        while !self.stopped() && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(20).min(time));
+        }
+    }
+
+    fn stream(&self, mut camera: LiveCamera, memory: &mut CameraMemory) -> End {
+        let mut heard = Instant::now();
+        let mut asked = heard;
+        loop {
+            if self.stopped() {
+                camera.stop();
+                return End::Stopped;
+            }
+            match camera.next(memory, &SystemClock, LOOK_AROUND) {
+                Next::Frame(frame) => {
+                    heard = Instant::now();
+                    asked = heard;
+                    if self.health.set_state(CameraState::Streaming) {
+                        tracing::info!(camera = %self.options.camera, frame = frame.frame.stamp.frame, "frames come");
+                    }
+                    self.hand_on(frame);
+                }
+                Next::Incomplete => heard = Instant::now(),
+                Next::Nothing if asked.elapsed() >= SILENCE => {
+                    asked = Instant::now();
+                    let held = camera.is_held();
+                    if held != Some(true) || heard.elapsed() >= FROZEN {
+                        self.lose(camera, held, heard);
+                        return End::Lost;
+                    }
+                    if self.health.set_state(CameraState::Degraded) {
+                        tracing::warn!(camera = %self.options.camera, "answers, but sends no frames");
+                    }
+                }
+                Next::Nothing => {}
+            }
+            self.tell(memory);
+        }
+    }
+
+    fn hand_on(&self, frame: LiveFrame) {
+        if let Err(TrySendError::Full(_)) = self.frames.try_send(frame) {
+            self.health.dropped.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    fn lose(&self, camera: LiveCamera, held: Option<bool>, heard: Instant) {
+        self.health.set_state(CameraState::Lost);
+        self.health.losses.fetch_add(1, Ordering::Relaxed);
+        let why = match held {
+            None => "it does not answer",
+            Some(false) => "it has been restarted",
+            Some(true) => "it answers but sends nothing",
+        };
+        tracing::warn!(
+            camera = %self.options.camera, silent_ms = heard.elapsed().as_millis() as u64,
+            "lost: {why}; connecting anew"
+        );
+        camera.abandon();
+    }
+
+    fn tell(&self, memory: &CameraMemory) {
+        let counters = memory.counters();
+        let health = &self.health;
+        for (to, from) in [
+            (&health.frames, counters.frames),
+            (&health.missing, counters.missing),
+            (&health.incomplete, counters.incomplete),
+            (&health.underruns, counters.underruns),
+        ] {
+            to.store(from, Ordering::Relaxed);
+        }
+    }
+}
