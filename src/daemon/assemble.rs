@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
@@ -51,8 +52,10 @@ type Epochs = BTreeMap<CameraId, u32>;
 
 /// Tracks this close in time may be one ball: cameras see different parts of a flight.
 const TOGETHER_S: f64 = 0.6;
-/// After a camera's track the others have this long for theirs.
-const PATIENCE: Duration = Duration::from_millis(300);
+/// A camera that has been watched this far past a ball's end has no more to tell of it, seconds of its stamps.
+const DECIDED_S: f64 = 0.4;
+/// A camera that lags behind the others by more than this is not waited for.
+const PATIENCE: Duration = Duration::from_secs(5);
 
 /// A pitch in the making, or made.
 struct Ball {
@@ -102,12 +105,17 @@ impl Assembler {
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
+            // First how far the cameras have been watched, then their tracks: none can be missed in between.
+            let alive = self.alive();
+            for seen in tracks.try_iter() {
+                self.take(seen, &mut desk);
+            }
             while let Ok(answer) = answers.try_recv() {
                 self.adopt(answer, &mut desk);
             }
-            self.close_ripe(&mut desk, Ripe::WhenReady);
+            self.close_ripe(&mut desk, Some(&alive));
         }
-        self.close_ripe(&mut desk, Ripe::Now);
+        self.close_ripe(&mut desk, None);
         if desk.waiting
             && let Ok(answer) = answers.recv_timeout(Duration::from_secs(20))
         {
@@ -139,19 +147,30 @@ impl Assembler {
         }
     }
 
-    /// Closes balls that every streaming camera has told of, or that have waited long enough.
-    fn close_ripe(&mut self, desk: &mut Desk, when: Ripe) {
-        let streaming: Vec<_> = self
-            .health
+    /// Cameras that may still tell of a ball, each with the stamp up to which it has told all.
+    fn alive(&self) -> Vec<(CameraId, i64)> {
+        self.health
             .iter()
-            .filter(|h| h.state() == CameraState::Streaming)
-            .map(|h| &h.camera)
-            .collect();
+            .filter(|h| matches!(h.state(), CameraState::Streaming | CameraState::Degraded))
+            .map(|h| (h.camera.clone(), h.watched_until_ns.load(Ordering::Acquire)))
+            .collect()
+    }
+
+    /// Closes balls of which every living camera has told, or that have waited long enough; all of them at the end
+    /// (`None`). By the frames' own time, not the wall's: a busy host delays pitches and does not tear them apart.
+    fn close_ripe(&mut self, desk: &mut Desk, alive: Option<&[(CameraId, i64)]>) {
         let ripe = |(ball, since): &(Ball, Instant)| {
-            let complete = streaming
+            let Some(alive) = alive else { return true };
+            let end_ns = ball
+                .tracks
                 .iter()
-                .all(|c| ball.tracks.iter().any(|t| t.track.camera == **c));
-            when == Ripe::Now || (complete && ball.tracks.len() > 1) || since.elapsed() > PATIENCE
+                .filter_map(|t| Some(t.track.span()?.1.nanos()))
+                .max();
+            let decided_ns = end_ns.unwrap_or(0).saturating_add((1e9 * DECIDED_S) as i64);
+            let told = |(camera, until_ns): &(CameraId, i64)| {
+                *until_ns > decided_ns || ball.tracks.iter().any(|t| t.track.camera == *camera)
+            };
+            alive.iter().all(told) || since.elapsed() > PATIENCE
         };
         let (ready, open) = std::mem::take(&mut desk.open).into_iter().partition(ripe);
         desk.open = open;
@@ -288,12 +307,6 @@ impl Assembler {
         }
         desk.window = window;
     }
-}
-
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Ripe {
-    WhenReady,
-    Now,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]

@@ -1,6 +1,6 @@
 //! What every camera's threads tell about themselves: state and counters, written by one thread, read by anyone.
 
-use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicI64, AtomicU8, AtomicU64, Ordering};
 
 use crate::scene::CameraId;
 
@@ -60,6 +60,8 @@ pub struct CameraHealth {
     pub tracks: AtomicU64,
     /// Times the camera was lost.
     pub losses: AtomicU64,
+    /// Stamp up to which every track has been handed on, nanoseconds.
+    pub watched_until_ns: AtomicI64,
     /// Latest frame: from arrival of its first packet to the end of detection, microseconds.
     pub latency_us: AtomicU64,
 }
@@ -79,6 +81,7 @@ impl CameraHealth {
             refused: AtomicU64::new(0),
             tracks: AtomicU64::new(0),
             losses: AtomicU64::new(0),
+            watched_until_ns: AtomicI64::new(i64::MIN),
             latency_us: AtomicU64::new(0),
         }
     }

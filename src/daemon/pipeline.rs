@@ -11,7 +11,7 @@
 //!
 //! | thread | takes | gives | queue | when that is full |
 //! |---|---|---|---|---|
-//! | `cap-<id>` | the camera | frames (in place, from its pool) | (1) 24 frames | the frame is dropped, counted as `dropped` |
+//! | `cap-<id>` | the camera | frames (in place, from its pool) | (1) ¾ of the pool | the frame is dropped, counted as `dropped` |
 //! | `eye-<id>` | frames | tracks of balls | (2) 256 tracks | waits; (1) then drops |
 //! | `assemble` | tracks, (4) | pitches | (5) 64 pitches | the pitch is not published, logged as an error |
 //! | | | requests | (3) 1 request | asked again with the next pitch |
@@ -94,7 +94,8 @@ pub fn start(
     for connection in &config.cameras {
         let options = live_options(config, connection, &rig)?;
         let own = Arc::new(CameraHealth::new(connection.id.clone()));
-        let (frames_in, frames) = bounded(24);
+        // The rest of the pool is for the receive thread and the eye's own history.
+        let (frames_in, frames) = bounded((connection.buffers * 3 / 4).max(4));
         let supervisor = Supervisor {
             options,
             frames: frames_in,

@@ -68,6 +68,10 @@ pub fn watch(
             .store(u64::try_from(late_ns / 1000).unwrap_or(0), Ordering::Relaxed);
         let epoch = *epoch;
         send(eye, (epoch, last_arrival), &mut numbers, tracks, health);
+        // Only now: whoever reads this will find the tracks in the queue.
+        health
+            .watched_until_ns
+            .store(frame.stamp.stamped.nanos(), Ordering::Release);
     }
     if let Some((eye, epoch)) = &mut watching {
         eye.finish();

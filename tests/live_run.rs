@@ -1,0 +1,164 @@
+//! `pitchd run` as a person or systemd starts it, against emulated cameras on loopback addresses.
+
+use std::io::Read;
+use std::net::Ipv4Addr;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use pitchd::emulation::{Drill, Emulator, EmulatorOptions, ScriptShape, pattern};
+
+const SHAPE: ScriptShape = ScriptShape {
+    width_px: 320,
+    height_px: 160,
+    rate_hz: 40.0,
+    exposure_s: 0.001,
+};
+
+fn emulator(last: u8, serial: &str) -> Emulator {
+    let options = EmulatorOptions::new(Ipv4Addr::new(127, 0, 93, last), serial);
+    Emulator::start(&options, SHAPE, pattern(SHAPE)).unwrap()
+}
+
+fn rig(folder: &Path, cameras: &[(&str, u8)]) {
+    let camera = |id: &str| {
+        format!(
+            "[[camera]]\nid = \"{id}\"\nwidth_px = 320\nheight_px = 160\nframe_rate_hz = 40.0\n[camera.intrinsics]\n\
+             fx_px = 300.0\nfy_px = 300.0\ncx_px = 159.5\ncy_px = 79.5\n"
+        )
+    };
+    let rig: String = cameras.iter().map(|(id, _)| camera(id)).collect();
+    std::fs::write(folder.join("rig.toml"), rig).unwrap();
+    let connection = |(id, last): &(&str, u8)| {
+        format!(
+            "[[camera]]\nid = \"{id}\"\naddress = \"127.0.93.{last}\"\npacket_size = 1500\nrealtime_priority = 0\nbuffers = 16\n"
+        )
+    };
+    let config: String = cameras.iter().map(connection).collect();
+    std::fs::write(
+        folder.join("pitchd.toml"),
+        format!("rig = \"rig.toml\"\nresults = \"results\"\n{config}"),
+    )
+    .unwrap();
+}
+
+fn start(folder: &Path) -> Child {
+    Command::new(env!("CARGO_BIN_EXE_pitchd"))
+        .args(["-v", "run", "--status-every", "0.2", "--config"])
+        .arg(folder.join("pitchd.toml"))
+        .stdout(Stdio::piped())
+        .stderr(Stdio::from(std::fs::File::create(folder.join("log")).unwrap()))
+        .spawn()
+        .unwrap()
+}
+
+fn log(folder: &Path) -> String {
+    std::fs::read_to_string(folder.join("log")).unwrap()
+}
+
+/// Waits until the log, from `from` on, has all of `wanted`; answers the log's length then.
+fn wait_for(folder: &Path, from: usize, wanted: &[&str]) -> usize {
+    let until = Instant::now() + Duration::from_secs(60);
+    loop {
+        let log = log(folder);
+        if wanted.iter().all(|w| log[from..].contains(w)) {
+            return log.len();
+        }
+        assert!(Instant::now() < until, "no {wanted:?} in:\n{}", &log[from..]);
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+fn signal(child: &Child, name: &str) {
+    let status = Command::new("kill")
+        .args([name, &child.id().to_string()])
+        .status()
+        .unwrap();
+    assert!(status.success());
+}
+
+#[test]
+fn the_daemon_outlives_its_cameras_and_ends_with_zero() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    rig(folder, &[("first", 1), ("third", 2)]);
+    let first = emulator(1, "R1");
+    let mut daemon = start(folder);
+    // The second camera is not there yet, the first does not care.
+    let at = wait_for(
+        folder,
+        0,
+        &[
+            "camera third: no answer from address 127.0.93.2",
+            "first Streaming",
+        ],
+    );
+    let third = emulator(2, "R2");
+    let at = wait_for(folder, at, &["third Streaming"]);
+    // Power off and on: lost, found, streaming, and the other never stops.
+    third.drill(Drill::Reboot(Duration::from_secs(2)));
+    let at = wait_for(folder, at, &["lost: it", "third Streaming"]);
+    let losses = log(folder)[..at].matches("first Streaming").count();
+    assert!(losses > 0);
+    // A broken file changes nothing.
+    let config = std::fs::read_to_string(folder.join("pitchd.toml")).unwrap();
+    std::fs::write(folder.join("pitchd.toml"), format!("{config}\nserail = 1\n")).unwrap();
+    signal(&daemon, "-HUP");
+    let at = wait_for(folder, at, &["reload refused, nothing has changed"]);
+    wait_for(folder, at, &["first Streaming", "third Streaming"]);
+    signal(&daemon, "-TERM");
+    let status = daemon.wait().unwrap();
+    let log = log(folder);
+    assert!(status.success(), "{log}");
+    let last = log
+        .lines()
+        .rev()
+        .find(|l| l.starts_with("pitchd: first"))
+        .unwrap();
+    assert!(
+        last.contains("lost 0 times") && !last.contains(" 0 processed"),
+        "{last}"
+    );
+    assert!(
+        log.lines()
+            .any(|l| l.starts_with("pitchd: third") && l.contains("lost 1 times")),
+        "{log}"
+    );
+    assert!(first.counters().frames > 0);
+    let mut out = String::new();
+    daemon.stdout.take().unwrap().read_to_string(&mut out).unwrap();
+    assert_eq!(out, "", "no ball, no pitch");
+}
+
+fn pitchd(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_pitchd"))
+        .args(arguments)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn cameras_and_check_say_what_is_there() {
+    let folder = tempfile::tempdir().unwrap();
+    rig(folder.path(), &[("first", 11), ("third", 12)]);
+    let _first = emulator(11, "C11");
+    let listed = pitchd(&["cameras", "--json", "--address", "127.0.93.11"]);
+    let rows: serde_json::Value = serde_json::from_slice(&listed.stdout).unwrap();
+    assert_eq!(
+        (rows[0]["serial"].as_str(), rows[0]["in_use"].as_bool()),
+        (Some("C11"), Some(false))
+    );
+    assert!(!pitchd(&["cameras", "--address", "127.0.93.99"]).status.success());
+
+    let config = folder.path().join("pitchd.toml");
+    let checked = pitchd(&["check", "--json", "--config", config.to_str().unwrap()]);
+    assert_eq!(checked.status.code(), Some(1), "one camera is missing");
+    let lines: serde_json::Value = serde_json::from_slice(&checked.stdout).unwrap();
+    let verdict = |what: &str| {
+        let found = lines.as_array().unwrap().iter().find(|l| l["what"] == what);
+        found.map(|l| l["verdict"].as_str().unwrap().to_owned())
+    };
+    assert_eq!(verdict("camera first").as_deref(), Some("ok"));
+    assert_eq!(verdict("camera third").as_deref(), Some("fail"));
+    assert!(verdict("socket buffers (net.core.rmem_max)").is_some());
+}
