@@ -1,5 +1,7 @@
 //! `pitchd run` as a person or systemd starts it, against emulated cameras on loopback addresses.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may")]
+
 use std::io::Read;
 use std::net::Ipv4Addr;
 use std::path::Path;

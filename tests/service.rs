@@ -1,5 +1,7 @@
 //! The systemd unit as systemd itself judges it.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test may")]
+
 use std::path::Path;
 use std::process::Command;
 

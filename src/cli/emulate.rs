@@ -9,7 +9,7 @@ use std::path::Path;
 use anyhow::{Context, bail};
 
 use crate::emulation::{
-    Drill, Emulator, EmulatorOptions, Faults, Script, ScriptShape, pattern, session_script,
+    Drill, Emulator, EmulatorOptions, Faults, Idle, Script, ScriptShape, pattern, session_script,
 };
 use crate::scene::CameraId;
 
@@ -27,8 +27,7 @@ Commands on standard input, one a line: freeze S, disconnect S, reboot S, clock 
 faults KEY=VALUE,…, loss P, reorder_ms MS, jitter_ms MS, quit. Faults: loss, reorder, reorder_ms, jitter_ms,
 clock_offset_s, skew_ppm.")]
 pub struct EmulateArgs {
-    /// What the camera sees: a session folder, or `pattern:WIDTHxHEIGHT`. Before its begin and after its end the
-    /// camera shows the first or last frame.
+    /// What the camera sees: a session folder, or `pattern:WIDTHxHEIGHT`.
     pub source: String,
     /// Id of the camera; also its user-defined name.
     #[arg(long)]
@@ -51,12 +50,24 @@ pub struct EmulateArgs {
     /// Unix time at which the source begins, so that several cameras begin together [default: with the first acquisition].
     #[arg(long)]
     pub start_at: Option<f64>,
+    /// Before the source begins, between its clips and after its end: what the camera shows.
+    #[arg(long, value_enum, default_value_t = Between::Still)]
+    pub between: Between,
     /// Frames of a session to read into memory beforehand, GiB.
     #[arg(long, default_value_t = 2.0)]
     pub preload_gib: f64,
     /// Seed of the faults.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
+}
+
+/// As [`Idle`], as it is typed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Between {
+    /// A still image at the camera's rate.
+    Still,
+    /// Nothing, as a triggered camera.
+    Silent,
 }
 
 const GIB: f64 = 1_073_741_824.0;
@@ -72,6 +83,10 @@ pub fn run(args: &EmulateArgs) -> anyhow::Result<()> {
         faults,
         link_gbps: args.link_gbps,
         begin: args.start_at.map(instant_of),
+        between: match args.between {
+            Between::Still => Idle::Still,
+            Between::Silent => Idle::Silent,
+        },
         seed: args.seed,
         ..EmulatorOptions::new(args.address, &serial)
     };

@@ -29,6 +29,8 @@ pub struct CalibrationPlan {
 pub struct Published {
     /// The pitch.
     pub pitch: Pitch,
+    /// What it was solved from.
+    pub tracks: Vec<Track>,
     /// From the arrival of the last frame it needed to here, milliseconds; `None` where it waited for a calibration.
     pub latency_ms: Option<f64>,
 }
@@ -60,13 +62,15 @@ const PATIENCE: Duration = Duration::from_secs(5);
 /// A pitch in the making, or made.
 struct Ball {
     tracks: Vec<SeenTrack>,
-    published: Option<u32>,
+    published: bool,
 }
 
 /// The assembler's thread.
 pub struct Assembler {
     /// The rig, its cameras' stamps taken as roughly alike.
     pub rig: Rig,
+    /// Pitches published by earlier runs: numbers go on after them.
+    pub numbers_before: u32,
     /// The calibration in use, with the clock epochs it holds for.
     pub calibration: Option<(Calibration, Epochs)>,
     /// When to calibrate.
@@ -97,6 +101,7 @@ impl Assembler {
     pub fn run(mut self, tracks: &Receiver<SeenTrack>, answers: &Receiver<CalibrationAnswer>) {
         let mut desk = Desk {
             version: self.calibration.as_ref().map_or(0, |c| c.0.version),
+            numbers: self.numbers_before,
             ..Desk::default()
         };
         loop {
@@ -140,7 +145,7 @@ impl Assembler {
             None => {
                 let ball = Ball {
                     tracks: vec![seen],
-                    published: None,
+                    published: false,
                 };
                 desk.open.push((ball, Instant::now()));
             }
@@ -225,13 +230,23 @@ impl Assembler {
             tracing::debug!("{warning}");
         }
         for mut pitch in batch.pitches {
-            let number = ball.published.unwrap_or(desk.numbers + 1);
-            desk.numbers = desk.numbers.max(number);
-            ball.published = Some(number);
+            desk.numbers += 1;
+            let number = desk.numbers;
+            let solved = batch.flights.iter().find(|f| f.number == pitch.pitch);
+            let tracks = solved.map(|f| f.tracks.clone()).unwrap_or_default();
+            ball.published = true;
             pitch.pitch = number;
             let complete = ball.tracks.iter().map(|t| t.complete).max();
             let latency_ms = complete.filter(|_| wait == Wait::Live).map(latency_ms);
-            if self.publish.try_send(Published { pitch, latency_ms }).is_err() {
+            if self
+                .publish
+                .try_send(Published {
+                    pitch,
+                    tracks,
+                    latency_ms,
+                })
+                .is_err()
+            {
                 tracing::error!(number, "a pitch could not be published: the queue is full");
             }
         }
@@ -302,7 +317,7 @@ impl Assembler {
         self.calibration = Some((calibration, answer.epochs));
         // What could not be solved before is solved now.
         let mut window = std::mem::take(&mut desk.window);
-        for ball in window.iter_mut().filter(|b| b.published.is_none()) {
+        for ball in window.iter_mut().filter(|b| !b.published) {
             self.solve(ball, desk, Wait::ForCalibration);
         }
         desk.window = window;

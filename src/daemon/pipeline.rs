@@ -4,7 +4,7 @@
 //! cap-<id> ─(1)─► eye-<id> ─┐
 //! cap-<id> ─(1)─► eye-<id> ─┼─(2)─► assemble ─(5)─► publish ─(6)─► print
 //!     …               …     ┘        │    ▲    ─(7)─►   │
-//!                                   (3)  (4)            └─► pitches.jsonl, calibration.json
+//!                                   (3)  (4)            └─► pitches.jsonl, calibration.json, tracks/
 //!                                    ▼    │
 //!                                   calibrate
 //! ```
@@ -113,6 +113,7 @@ pub fn start(
 
     let assembler = Assembler {
         rig: rig.clone(),
+        numbers_before: publish::last_number(&config.results),
         calibration: calibration.map(|c| {
             let epochs = assemble::first_epochs(&c);
             (c, epochs)

@@ -1,5 +1,6 @@
 //! The publisher's thread: each pitch as one line of JSON, to a file and to standard output.
 
+use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -8,7 +9,8 @@ use crossbeam_channel::{Receiver, Sender, TrySendError};
 
 use super::assemble::Published;
 use crate::export::results;
-use crate::scene::Calibration;
+use crate::recording::{append_track, read_track_file};
+use crate::scene::{Calibration, CameraId, Track};
 
 /// What was published and how late.
 #[derive(Debug, Clone, Default)]
@@ -60,9 +62,17 @@ pub fn publish(
     log
 }
 
+/// Number of the last pitch in a results folder; 0 without one.
+pub fn last_number(folder: &Path) -> u32 {
+    let pitches = results::read_pitches(&folder.join("pitches.jsonl")).unwrap_or_default();
+    pitches.iter().map(|p| p.pitch).max().unwrap_or(0)
+}
+
 struct Keeper {
     folder: PathBuf,
     file: Option<File>,
+    /// Last track in each camera's file.
+    tracks: BTreeMap<CameraId, u32>,
 }
 
 impl Keeper {
@@ -70,6 +80,7 @@ impl Keeper {
         Self {
             folder: folder.to_owned(),
             file: None,
+            tracks: BTreeMap::new(),
         }
     }
 
@@ -110,6 +121,27 @@ impl Keeper {
         if let Err(error) = self.append(&line) {
             tracing::error!(%error, folder = %self.folder.display(), "pitches.jsonl was not written");
             self.file = None;
+        }
+        for track in &published.tracks {
+            self.append_track(track);
+        }
+    }
+
+    /// Numbers go on where an earlier run stopped.
+    fn append_track(&mut self, track: &Track) {
+        let folder = self.folder.join("tracks");
+        let last = self.tracks.entry(track.camera.clone()).or_insert_with(|| {
+            let path = folder.join(format!("{}.csv", track.camera));
+            let before = read_track_file(&path, &track.camera).unwrap_or_default();
+            before.iter().map(|t| t.track).max().unwrap_or(0)
+        });
+        *last += 1;
+        let numbered = Track {
+            track: *last,
+            ..track.clone()
+        };
+        if let Err(error) = append_track(&folder, &numbered) {
+            tracing::error!(%error, "a track was not written");
         }
     }
 

@@ -14,7 +14,7 @@ use super::control;
 use super::faults::{Drill, Faults};
 use super::gvcp::GVCP_PORT;
 use super::registers::{Identity, RegisterBank, STREAM_SOURCE_PORT};
-use super::script::{Script, ScriptShape, Timeline};
+use super::script::{Idle, Script, ScriptShape, Timeline};
 use super::sender::{Order, Sender};
 
 /// Why an emulated camera cannot start.
@@ -50,6 +50,8 @@ pub struct EmulatorOptions {
     pub link_gbps: f64,
     /// When the script begins; `None`: with the first acquisition.
     pub begin: Option<Instant>,
+    /// What is shown when the script has nothing.
+    pub between: Idle,
     /// Seed of the faults.
     pub seed: u64,
 }
@@ -64,6 +66,7 @@ impl EmulatorOptions {
             faults: Faults::default(),
             link_gbps: 5.0,
             begin: None,
+            between: Idle::Still,
             seed: 1,
         }
     }
@@ -241,7 +244,7 @@ impl Emulator {
             orders: orders.clone(),
             threads: Vec::new(),
         };
-        let timeline = Timeline::new(shape, frames, options.begin);
+        let timeline = Timeline::new(shape, frames, (options.begin, options.between));
         let sender = Sender::new(
             shared.clone(),
             stream_socket,

@@ -83,14 +83,24 @@ pub(super) struct Slot {
     pub pixels: Pixels,
 }
 
+/// What a camera shows when its script has nothing for it: before its begin, between two clips, after its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Idle {
+    /// The first or last frame again and again: a camera does not stop because nothing happens.
+    #[default]
+    Still,
+    /// Nothing, as a triggered camera: the receiver sees the script's frames and no others.
+    Silent,
+}
+
 /// A gap longer than this is between two clips, not a lost frame or two.
 const CLIP_GAP: Duration = Duration::from_millis(300);
 
-/// Lays a script on the host's time line. Before the script begins and after it ends the camera sees its first or
-/// last frame, at its rate: a camera does not stop because nothing happens.
+/// Lays a script on the host's time line.
 pub(super) struct Timeline {
     shape: ScriptShape,
     frames: Receiver<ScriptedFrame>,
+    between: Idle,
     /// When the script begins; fixed by the first acquisition unless told.
     epoch: Option<Instant>,
     next: Option<ScriptedFrame>,
@@ -100,10 +110,15 @@ pub(super) struct Timeline {
 }
 
 impl Timeline {
-    pub fn new(shape: ScriptShape, frames: Receiver<ScriptedFrame>, epoch: Option<Instant>) -> Self {
+    pub fn new(
+        shape: ScriptShape,
+        frames: Receiver<ScriptedFrame>,
+        (epoch, between): (Option<Instant>, Idle),
+    ) -> Self {
         Self {
             shape,
             frames,
+            between,
             epoch,
             next: None,
             last: None,
@@ -111,7 +126,7 @@ impl Timeline {
         }
     }
 
-    /// The first exposure at or after `earliest`, in order; `None` if the script has not one frame.
+    /// The first exposure at or after `earliest`, in order; `None` if there is none any more.
     pub fn next_after(&mut self, earliest: Instant) -> Option<Slot> {
         let epoch = *self.epoch.get_or_insert(earliest);
         let period = self.shape.period();
@@ -133,15 +148,19 @@ impl Timeline {
                 .last
                 .as_ref()
                 .is_some_and(|last| begin.saturating_duration_since(last.begin) > CLIP_GAP);
-            self.idle = self.idle || clip;
+            self.idle = self.between == Idle::Still && (self.idle || clip);
             if self.idle && begin.checked_sub(period / 2).is_some_and(|latest| due < latest) {
                 // On the script's own grid, counted back from its begin.
                 let ahead = begin.duration_since(due).as_secs_f64() / period.as_secs_f64();
                 let back = period.mul_f64(ahead.floor().max(1.0));
-                let shown = self.last.as_ref().map_or(&next.pixels, |last| &last.pixels);
+                let still = self
+                    .last
+                    .as_ref()
+                    .map_or(&next.pixels, |last| &last.pixels)
+                    .clone();
                 let slot = Slot {
                     begin: begin - back,
-                    pixels: shown.clone(),
+                    pixels: still,
                 };
                 return Some(self.remember(slot));
             }
@@ -160,12 +179,11 @@ impl Timeline {
     }
 
     fn idle_after_end(&mut self, earliest: Instant, period: Duration) -> Option<Slot> {
-        let last = self.last.as_ref()?;
+        let last = self.last.as_ref().filter(|_| self.between != Idle::Silent)?;
         let passed = earliest.saturating_duration_since(last.begin).as_secs_f64() / period.as_secs_f64();
-        let slot = Slot {
-            begin: last.begin + period.mul_f64(passed.ceil().max(1.0)),
-            pixels: last.pixels.clone(),
-        };
+        let begin = last.begin + period.mul_f64(passed.ceil().max(1.0));
+        let still = last.pixels.clone();
+        let slot = Slot { begin, pixels: still };
         Some(self.remember(slot))
     }
 
@@ -202,7 +220,7 @@ mod tests {
         drop(send);
         let start = Instant::now();
         let ms = Duration::from_millis;
-        let mut line = Timeline::new(shape, frames, Some(start + ms(35)));
+        let mut line = Timeline::new(shape, frames, (Some(start + ms(35)), Idle::Still));
         let mut seen = Vec::new();
         let mut now = start;
         for _ in 0..8 {

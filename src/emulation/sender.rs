@@ -127,7 +127,12 @@ impl Sender {
                 continue;
             };
             let Some(slot) = self.timeline.next_after(current.earliest) else {
-                return;
+                // The script is over: what was sent may still be asked for again.
+                match orders.recv() {
+                    Ok(Order::End) | Err(_) => return,
+                    Ok(order) => self.obey(order, &mut stream),
+                }
+                continue;
             };
             current.earliest = slot.begin + Duration::from_nanos(1);
             current.phase += current.settings.rate_hz / self.shared.identity.rate_hz.1;

@@ -50,6 +50,6 @@ pub use frame_info::{FrameFlags, RecordedFrame};
 pub use layout::PixelEncoding;
 pub use reader::{CameraFrames, CameraRecording, SessionReader};
 pub use repair::{Repaired, repair_session};
-pub use track_files::{TrackFileError, read_track_file, read_track_folder, write_track_folder};
+pub use track_files::{TrackFileError, append_track, read_track_file, read_track_folder, write_track_folder};
 pub use viewer_file::{ViewerInput, write_viewer_file};
 pub use writer::{CameraGeometry, CameraWriter, DiskPath, SessionOptions, SessionWriter, remove_session};

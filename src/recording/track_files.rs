@@ -267,46 +267,75 @@ pub fn write_track_folder(folder: &Path, tracks: &[Track]) -> Result<(), TrackFi
     Ok(())
 }
 
+/// Appends a track to `<folder>/<camera id>.csv`; folder and file are made where they are missing.
+///
+/// # Errors
+/// [`TrackFileError::Io`] with the file.
+pub fn append_track(folder: &Path, track: &Track) -> Result<(), TrackFileError> {
+    use std::io::Write as _;
+    let path = folder.join(format!("{}.csv", track.camera));
+    let append = || {
+        std::fs::create_dir_all(folder)?;
+        let mut file = std::fs::OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(&path)?;
+        let mut text = String::new();
+        if file.metadata()?.len() == 0 {
+            text = format!("{HEADER}{COVARIANCE_HEADER}\n");
+        }
+        write_rows(&mut text, track, true);
+        file.write_all(text.as_bytes())
+    };
+    append().map_err(|source| TrackFileError::Io {
+        path: path.clone(),
+        source,
+    })
+}
+
+const HEADER: &str = "track,frame,timestamp_ns,x_px,y_px";
+const COVARIANCE_HEADER: &str = ",sigma_px,var_x_px2,cov_xy_px2,var_y_px2";
+
 fn track_csv(tracks: &[&Track]) -> String {
-    use std::fmt::Write as _;
     let with_covariance = tracks
         .iter()
         .flat_map(|t| &t.points)
         .any(|p| p.covariance_px2.is_some());
-    let mut text = "track,frame,timestamp_ns,x_px,y_px".to_owned();
-    text += if with_covariance {
-        ",sigma_px,var_x_px2,cov_xy_px2,var_y_px2\n"
-    } else {
-        "\n"
-    };
+    let covariance = if with_covariance { COVARIANCE_HEADER } else { "" };
+    let mut text = format!("{HEADER}{covariance}\n");
     for track in tracks {
-        for p in &track.points {
-            // Writing to a String cannot fail.
-            let _ = write!(
-                text,
-                "{},{},{},{:.4},{:.4}",
-                track.track,
-                p.frame,
-                p.stamped.nanos(),
-                p.pixel.x,
-                p.pixel.y
-            );
-            if let Some(c) = p.covariance_px2 {
-                let sigma = (0.5 * c.trace()).sqrt();
-                let _ = write!(
-                    text,
-                    ",{sigma:.4},{:.3e},{:.3e},{:.3e}",
-                    c[(0, 0)],
-                    c[(0, 1)],
-                    c[(1, 1)]
-                );
-            } else if with_covariance {
-                text += ",,,,";
-            }
-            text.push('\n');
-        }
+        write_rows(&mut text, track, with_covariance);
     }
     text
+}
+
+fn write_rows(text: &mut String, track: &Track, with_covariance: bool) {
+    use std::fmt::Write as _;
+    for p in &track.points {
+        // Writing to a String cannot fail.
+        let _ = write!(
+            text,
+            "{},{},{},{:.4},{:.4}",
+            track.track,
+            p.frame,
+            p.stamped.nanos(),
+            p.pixel.x,
+            p.pixel.y
+        );
+        if let Some(c) = p.covariance_px2 {
+            let sigma = (0.5 * c.trace()).sqrt();
+            let _ = write!(
+                text,
+                ",{sigma:.4},{:.3e},{:.3e},{:.3e}",
+                c[(0, 0)],
+                c[(0, 1)],
+                c[(1, 1)]
+            );
+        } else if with_covariance {
+            text.push_str(",,,,");
+        }
+        text.push('\n');
+    }
 }
 
 #[cfg(test)]
@@ -340,6 +369,26 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         write_track_folder(folder.path(), std::slice::from_ref(&track)).unwrap();
         assert_eq!(read_track_folder(folder.path()).unwrap(), vec![track]);
+    }
+
+    #[test]
+    fn tracks_are_appended_one_by_one() {
+        let folder = tempfile::tempdir().unwrap();
+        let made = |track| Track {
+            camera: CameraId::new("first").unwrap(),
+            track,
+            points: vec![TrackPoint {
+                frame: u64::from(track),
+                stamped: StampedMidpoint::from_nanos(i64::from(track)),
+                pixel: Pixel::new(1.5, 2.5),
+                covariance_px2: Some(Matrix2::new(0.04, 0.01, 0.01, 0.09)),
+            }],
+        };
+        for track in [made(1), made(2)] {
+            append_track(&folder.path().join("tracks"), &track).unwrap();
+        }
+        let read = read_track_folder(&folder.path().join("tracks")).unwrap();
+        assert_eq!(read, [made(1), made(2)]);
     }
 
     #[test]

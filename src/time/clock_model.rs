@@ -83,6 +83,32 @@ pub struct ClockReading {
     pub epoch: u32,
     /// What happened, if anything.
     pub event: Option<ClockEvent>,
+    /// The model as it stands; `None` where the device time was not believed.
+    pub line: Option<ClockLine>,
+}
+
+/// The clock model at one moment: device time to stamped midpoint by one line, for stamps that must fit each other
+/// although the model has moved between their frames.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ClockLine {
+    /// Device time of the frame that this came with, wraps of the counter undone, nanoseconds.
+    pub device_ns: i64,
+    midpoint_ns: i64,
+    /// Host seconds over device seconds, less one.
+    rate: f64,
+}
+
+impl ClockLine {
+    /// The stamped midpoint of another frame of the same epoch and exposure.
+    pub fn stamped(&self, device_ns: i64) -> StampedMidpoint {
+        let since_ns = device_ns.saturating_sub(self.device_ns);
+        let stretch_ns = (self.rate * since_ns as f64).round() as i64;
+        StampedMidpoint::from_nanos(
+            self.midpoint_ns
+                .saturating_add(since_ns)
+                .saturating_add(stretch_ns),
+        )
+    }
 }
 
 /// Host time as a line over device time, with its covariance.
@@ -177,7 +203,9 @@ impl Line {
     }
 }
 
-const NOISE_FIRST_S: f64 = 50e-6;
+/// Spread of the minima before it is known. Much less would let the first half second, with its short blocks on a busy
+/// host, decide on the rate: 50 µs gave a clock of true rate 0 up to 500 ppm after 0.5 s.
+const NOISE_FIRST_S: f64 = 200e-6;
 const NOISE_LEAST_S: f64 = 2e-6;
 const NOISE_MOST_S: f64 = 500e-6;
 /// A clock younger than this believes any earlier frame, seconds.
@@ -274,11 +302,17 @@ impl ClockModel {
         let (host_ns, sigma_s) = self.line.as_ref().map_or((device_ns, f64::INFINITY), |line| {
             (line.host_ns(device_ns), line.sigma_s(device_ns))
         });
+        let midpoint_ns = host_ns.saturating_add(half_ns);
         ClockReading {
-            stamped: StampedMidpoint::from_nanos(host_ns.saturating_add(half_ns)),
+            stamped: StampedMidpoint::from_nanos(midpoint_ns),
             sigma_s,
             epoch: self.epoch,
             event,
+            line: self.line.as_ref().map(|line| ClockLine {
+                device_ns,
+                midpoint_ns,
+                rate: line.state.y,
+            }),
         }
     }
 
@@ -333,6 +367,7 @@ impl ClockModel {
             event: Some(ClockEvent::Outlier {
                 excess_s: old.map_or(0.0, |(excess, _)| excess),
             }),
+            line: None,
         }
     }
 

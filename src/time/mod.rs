@@ -12,7 +12,7 @@
 mod clock_model;
 mod host_clock;
 
-pub use clock_model::{ClockEvent, ClockModel, ClockModelOptions, ClockReading};
+pub use clock_model::{ClockEvent, ClockLine, ClockModel, ClockModelOptions, ClockReading};
 pub use host_clock::{HostClock, SystemClock};
 
 use serde::{Deserialize, Serialize};

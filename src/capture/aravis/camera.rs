@@ -16,7 +16,8 @@ use super::options::LiveOptions;
 use super::probe;
 use crate::scene::{Frame, FrameStamp};
 use crate::time::{
-    ArrivalTime, ClockEvent, ClockModel, ClockModelOptions, DeviceTime, HostClock, StampedMidpoint,
+    ArrivalTime, ClockEvent, ClockLine, ClockModel, ClockModelOptions, ClockReading, DeviceTime, HostClock,
+    StampedMidpoint,
 };
 
 /// Frames lost, by cause, since the camera was first opened.
@@ -45,6 +46,8 @@ pub struct LiveFrame {
     pub stamp_sigma_s: f64,
     /// Rises when the capture delay may have changed.
     pub clock_epoch: u32,
+    /// The clock model as it stands with this frame.
+    pub clock: Option<ClockLine>,
     /// Exposure, seconds.
     pub exposure_s: f64,
     /// Frames lost right before this one.
@@ -198,8 +201,7 @@ impl LiveCamera {
             }
             Ok(pixels) => {
                 let arrival = clock.monotonic_of_unix(arrival_unix_ns);
-                let stamped = self.stamp(memory, (id, device_ns), arrival);
-                let (stamp, sigma_s, epoch, lost_before) = stamped;
+                let (stamp, reading, lost_before) = self.stamp(memory, (id, device_ns), arrival);
                 Next::Frame(LiveFrame {
                     frame: Frame {
                         stamp,
@@ -207,8 +209,9 @@ impl LiveCamera {
                         height_px,
                         pixels: Arc::new(pixels),
                     },
-                    stamp_sigma_s: sigma_s,
-                    clock_epoch: epoch,
+                    stamp_sigma_s: reading.sigma_s,
+                    clock_epoch: reading.epoch,
+                    clock: reading.line,
                     exposure_s: self.exposure_s,
                     lost_before,
                 })
@@ -221,7 +224,7 @@ impl LiveCamera {
         memory: &mut CameraMemory,
         (id, device_ns): (u64, u64),
         arrival: ArrivalTime,
-    ) -> (FrameStamp, f64, u32, u64) {
+    ) -> (FrameStamp, ClockReading, u64) {
         let device = DeviceTime::from_nanos(i64::try_from(device_ns).unwrap_or(i64::MAX));
         let reading = memory.clock.push(device, arrival, self.exposure_s);
         // After a reconnection the numbers go on as if the camera had never stopped.
@@ -253,7 +256,7 @@ impl LiveCamera {
             arrival: Some(arrival),
             stamped: reading.stamped,
         };
-        (stamp, reading.sigma_s, reading.epoch, lost)
+        (stamp, reading, lost)
     }
 
     /// Adds what the library has counted since the last look.

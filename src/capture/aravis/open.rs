@@ -276,7 +276,8 @@ fn check_link(options: &LiveOptions, camera: &Camera, payload_bytes: usize) -> R
     Ok(())
 }
 
-/// Timeouts for 175 fps: with the library's own (20 ms, 100 ms) a lost packet holds up all later frames.
+/// Timeouts for 175 fps: with the library's own (20 ms, 100 ms) a lost packet holds up all later frames. A frame is given
+/// up after 25 ms: a host that stands still for 10 ms (another machine's turn) has its packets in the socket's buffer.
 fn tune(options: &LiveOptions, stream: &RawStream) {
     let Some(gige) = stream.gige() else { return };
     gige.set_socket_buffer(GvStreamSocketBuffer::Fixed);
@@ -284,5 +285,5 @@ fn tune(options: &LiveOptions, stream: &RawStream) {
     gige.set_packet_resend(GvStreamPacketResend::Always);
     gige.set_packet_timeout(1000);
     gige.set_initial_packet_timeout(200);
-    gige.set_frame_retention(8000);
+    gige.set_frame_retention(25_000);
 }
