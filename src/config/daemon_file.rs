@@ -25,7 +25,7 @@ pub struct CameraConnection {
     pub gain_db: Option<f64>,
     /// Packet size; none: negotiated.
     pub packet_size: Option<u32>,
-    /// Frames in the pool.
+    /// Frames in the pool, over those that detection compares with.
     pub buffers: usize,
     /// Socket buffer, bytes.
     pub socket_buffer_bytes: usize,

@@ -103,9 +103,10 @@ pub fn start(
             stop: stop.clone(),
         };
         captures.push((format!("cap-{}", connection.id), supervisor));
+        let eye = eye_of(&rig, connection);
         let (eye_health, eye_tracks): (_, Sender<SeenTrack>) = (own.clone(), tracks_in.clone());
         threads.push(named(format!("eye-{}", connection.id), move || {
-            watcher::watch(&frames, &eye_tracks, &EyeConfig::default(), &eye_health);
+            watcher::watch(&frames, &eye_tracks, &eye, &eye_health);
         })?);
         health.push(own);
     }
@@ -199,6 +200,21 @@ fn with_stamps_roughly_alike(mut rig: Rig) -> Rig {
     rig
 }
 
+/// As a replay sets it up.
+fn eye_of(rig: &Rig, connection: &CameraConnection) -> EyeConfig {
+    let mut eye = EyeConfig::default();
+    if let Some(setup) = rig.camera(&connection.id) {
+        eye.detector.exposure_s = setup.exposure_s;
+        eye.tracker.frame_rate_hz = setup.frame_rate_hz;
+    }
+    eye
+}
+
+/// Frames that an eye keeps to compare with: a pool that is no larger starves its camera.
+fn frames_held(eye: &EyeConfig) -> usize {
+    3 * eye.detector.lag_frames_max.max(eye.detector.lag_frames) + 3
+}
+
 fn live_options(
     config: &DaemonConfig,
     connection: &CameraConnection,
@@ -225,7 +241,7 @@ fn live_options(
             PacketPath::UdpSocket
         },
         socket_buffer_bytes: connection.socket_buffer_bytes,
-        buffers: connection.buffers,
+        buffers: connection.buffers + frames_held(&eye_of(rig, connection)),
         realtime_priority: (connection.realtime_priority > 0).then_some(connection.realtime_priority),
         ptp: if connection.ptp {
             Ptp::WhereAvailable
