@@ -23,7 +23,7 @@ fn main() -> ExitCode {
     match cli.run() {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("pitchd: error: {}", one_line(&error));
+            pitchd::cli::terminal::tell(format_args!("pitchd: error: {}\n", one_line(&error)));
             ExitCode::FAILURE
         }
     }

@@ -224,6 +224,131 @@ fn an_absent_camera_costs_its_share_only() {
     assert_names(&place.solve(), &["only camera", "a calibration needs two"]);
 }
 
+fn qualities(pitches: &[Value]) -> Vec<&str> {
+    pitches.iter().map(|p| p["quality"].as_str().unwrap()).collect()
+}
+
+#[test]
+fn a_calibration_of_other_cameras_makes_poor_pitches() {
+    let place = Place::with_tracks();
+    assert!(place.solve().status.success());
+    let with = |calibration: &str| {
+        let output = place.pitchd(&[
+            "solve",
+            "scene/tracks",
+            "--rig",
+            "scene/rig.toml",
+            "--calibration",
+            calibration,
+            "--out",
+            "result",
+        ]);
+        (output, place.pitches())
+    };
+    // As it was: good.
+    fs::copy(place.path("result/calibration.json"), place.path("right.json")).unwrap();
+    let (output, pitches) = with("right.json");
+    assert!(output.status.success());
+    assert!(qualities(&pitches).iter().all(|q| *q == "good"));
+    // One camera kicked by 40 cm.
+    let mut moved: Value = serde_json::from_slice(&fs::read(place.path("right.json")).unwrap()).unwrap();
+    let t = &mut moved["cameras"][1]["camera_from_world"]["translation_m"][0];
+    *t = (t.as_f64().unwrap() + 0.4).into();
+    fs::write(place.path("moved.json"), moved.to_string()).unwrap();
+    let (output, pitches) = with("moved.json");
+    assert!(
+        qualities(&pitches).iter().all(|q| *q != "good"),
+        "{}",
+        stderr(&output)
+    );
+    assert!(stderr(&output).contains("landmark clicks"), "{}", stderr(&output));
+    // Half a covariance.
+    moved["covariance"].as_array_mut().unwrap().pop();
+    fs::write(place.path("short.json"), moved.to_string()).unwrap();
+    assert_names(&with("short.json").0, &["short.json", "covariance is not"]);
+}
+
+#[test]
+fn a_field_that_is_not_the_one_filmed_is_doubted() {
+    let place = Place::with_tracks();
+    place.edit("scene/rig.toml", |rig| {
+        rig.replace("\"professional\"", "\"youth_60_46\"")
+    });
+    let solved = place.solve();
+    let told = stderr(&solved);
+    assert!(!told.contains("panicked"), "{told}");
+    if solved.status.success() {
+        assert!(told.contains("is `field` the right one"), "{told}");
+        assert!(qualities(&place.pitches()).iter().all(|q| *q != "good"));
+    }
+}
+
+#[test]
+fn one_number_for_all_balls_of_a_camera_is_several_tracks() {
+    let place = Place::with_tracks();
+    assert!(place.solve().status.success());
+    let apart = place.pitches();
+    place.edit("scene/tracks/third.csv", |text| {
+        let renumbered = text
+            .lines()
+            .enumerate()
+            .map(|(i, line)| match line.split_once(',') {
+                Some((_, rest)) if i > 0 => format!("0,{rest}\n"),
+                _ => format!("{line}\n"),
+            });
+        renumbered.collect()
+    });
+    let solved = place.solve();
+    assert!(solved.status.success(), "{}", stderr(&solved));
+    let together = place.pitches();
+    assert_eq!(together.len(), apart.len());
+    for (a, b) in apart.iter().zip(&together) {
+        assert_eq!(a["plate_front_m"], b["plate_front_m"]);
+    }
+}
+
+#[test]
+fn a_reader_that_goes_away_is_no_failure() {
+    let place = Place::with_tracks();
+    let mut child = Command::new(env!("CARGO_BIN_EXE_pitchd"))
+        .current_dir(place.folder.path())
+        .args([
+            "solve",
+            "scene/tracks",
+            "--rig",
+            "scene/rig.toml",
+            "--out",
+            "result",
+            "--json",
+        ])
+        .stdout(std::process::Stdio::piped())
+        .stderr(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(child.stdout.take());
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "{}", stderr(&output));
+    assert_eq!(place.pitches().len(), 8);
+}
+
+#[test]
+fn a_repair_counts_what_is_lost_and_a_replay_still_tells() {
+    let place = Place::with_session();
+    let path = place.path("session/third.0002.mcap");
+    cut(&path, 0.5);
+    let read = place.pitchd(&["info", "session", "--verify", "--json"]);
+    let damage: Value = serde_json::from_slice(&read.stdout).unwrap();
+    let lost = damage["damage"][0]["frames_lost"].as_u64().unwrap();
+    assert!(lost > 10, "{damage}");
+    let count = format!("{lost} lost");
+    assert_names(&place.pitchd(&["info", "session"]), &["1 file is damaged"]);
+    let mended = place.pitchd(&["recover", "session"]);
+    assert_names(&mended, &[&format!("{lost} frames are lost")]);
+    let replayed = place.replay();
+    assert!(replayed.status.success(), "{}", stderr(&replayed));
+    assert!(stderr(&replayed).contains(&count), "{}", stderr(&replayed));
+}
+
 #[test]
 fn the_bundled_recording_gives_its_four_pitches() {
     let place = Place::with_session();

@@ -17,6 +17,7 @@ pub mod relative_pose;
 pub mod resection;
 mod self_calibration;
 mod sweep;
+pub mod trust;
 mod two_view;
 
 pub use error::CalibrationError;

@@ -90,19 +90,30 @@ pub fn run(args: &CamerasArgs) -> anyhow::Result<()> {
         );
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&rows)?);
+        say_line!("{}", serde_json::to_string_pretty(&rows)?);
     } else if rows.is_empty() {
-        println!("no camera found (pitchd check looks at the host)");
+        say_line!("no camera found (pitchd check looks at the host)");
     } else {
-        println!(
+        say_line!(
             "{:<16} {:<16} {:<20} {:<16} {:<12} {:<8} id",
-            "address", "serial", "model", "name", "protocol", "in use"
+            "address",
+            "serial",
+            "model",
+            "name",
+            "protocol",
+            "in use"
         );
         for row in &rows {
             let in_use = row.in_use.map_or("?", |b| if b { "yes" } else { "no" });
-            println!(
+            say_line!(
                 "{:<16} {:<16} {:<20} {:<16} {:<12} {:<8} {}",
-                row.address, row.serial, row.model, row.user_name, row.protocol, in_use, row.id
+                row.address,
+                row.serial,
+                row.model,
+                row.user_name,
+                row.protocol,
+                in_use,
+                row.id
             );
         }
     }

@@ -55,7 +55,7 @@ pub fn run(args: &CheckArgs) -> anyhow::Result<()> {
         lines.extend(config_lines(path));
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&lines)?);
+        say_line!("{}", serde_json::to_string_pretty(&lines)?);
     } else {
         for line in &lines {
             let verdict = match line.verdict {
@@ -63,9 +63,9 @@ pub fn run(args: &CheckArgs) -> anyhow::Result<()> {
                 Verdict::Warn => "warn",
                 Verdict::Fail => "FAIL",
             };
-            println!("{verdict}  {}: {}", line.what, line.found);
+            say_line!("{verdict}  {}: {}", line.what, line.found);
             if let Some(mend) = line.mend.as_ref().filter(|_| line.verdict != Verdict::Ok) {
-                println!("      mend: {mend}");
+                say_line!("      mend: {mend}");
             }
         }
     }

@@ -91,9 +91,12 @@ pub fn run(args: &EmulateArgs) -> anyhow::Result<()> {
         ..EmulatorOptions::new(args.address, &serial)
     };
     let emulator = Emulator::start(&options, shape, script)?;
-    println!(
+    say_line!(
         "camera {camera}: {}x{} Mono8, {} Hz, serial {serial}, at {}",
-        shape.width_px, shape.height_px, shape.rate_hz, args.address
+        shape.width_px,
+        shape.height_px,
+        shape.rate_hz,
+        args.address
     );
     obey_standard_input(&emulator);
     // Standard input is closed: serve on until a signal ends the program.
@@ -101,9 +104,13 @@ pub fn run(args: &EmulateArgs) -> anyhow::Result<()> {
         std::thread::sleep(Duration::from_millis(200));
     }
     let counters = emulator.counters();
-    println!(
+    say_line!(
         "{} frames, {} skipped, {} packets, {} lost, {} resent",
-        counters.frames, counters.skipped, counters.packets, counters.lost, counters.resent
+        counters.frames,
+        counters.skipped,
+        counters.packets,
+        counters.lost,
+        counters.resent
     );
     Ok(())
 }
@@ -111,12 +118,12 @@ pub fn run(args: &EmulateArgs) -> anyhow::Result<()> {
 fn obey_standard_input(emulator: &Emulator) {
     for line in std::io::stdin().lock().lines().map_while(Result::ok) {
         if line.trim() == "stats" {
-            println!("{:?}", emulator.counters());
+            say_line!("{:?}", emulator.counters());
             continue;
         }
         match Drill::parse(&line, emulator.faults()) {
             Ok(drill) => emulator.drill(drill),
-            Err(error) => eprintln!("pitchd: {error}"),
+            Err(error) => tell_line!("pitchd: {error}"),
         }
         if emulator.is_stopped() {
             return;

@@ -2,7 +2,8 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, Subcommand};
+use clap::error::ErrorKind;
+use clap::{Args, CommandFactory, Subcommand};
 
 use crate::evaluation::score_pitches;
 use crate::export::results;
@@ -56,13 +57,16 @@ pub fn run(args: &EvaluateArgs) -> anyhow::Result<()> {
         };
     }
     let (Some(result), Some(truth)) = (&args.result, &args.truth) else {
-        anyhow::bail!("evaluate needs a results folder and its truth: pitchd evaluate RESULT TRUTH");
+        let told = "a results folder and its truth are needed: pitchd evaluate RESULT TRUTH";
+        super::Cli::command()
+            .error(ErrorKind::MissingRequiredArgument, told)
+            .exit();
     };
     let score = score_pitches(&results::read(result)?, truth)?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&score)?);
+        say_line!("{}", serde_json::to_string_pretty(&score)?);
     } else {
-        print!("{score}");
+        say!("{score}");
     }
     Ok(())
 }

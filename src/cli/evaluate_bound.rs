@@ -35,7 +35,7 @@ pub fn run(args: &BoundArgs) -> anyhow::Result<()> {
     let scenario = Scenario::from_path(&args.scenario)?;
     let (_, bound) = scene_bound(&scenario)?;
     for (camera, spec) in bound.cameras.iter().zip(&scenario.cameras) {
-        println!(
+        say_line!(
             "camera {}: delay {:.4} frame ({:.1} µs), skew {:.2} ppm, centre {:.1} {:.1} {:.1} mm",
             camera.camera,
             camera.delay_sigma_s * spec.frame_rate_hz,
@@ -53,13 +53,13 @@ pub fn run(args: &BoundArgs) -> anyhow::Result<()> {
         let speed = pitch
             .release_speed_sigma_mps
             .map_or(String::new(), |s| format!(", speed {s:.4} m/s"));
-        println!("pitch {}: {plate}{speed}", pitch.pitch + 1);
+        say_line!("pitch {}: {plate}{speed}", pitch.pitch + 1);
     }
     if args.seeds > 0 {
         let bar = indicatif::ProgressBar::new(args.seeds);
         let study = study(&scenario, args.seeds, |_| bar.inc(1))?;
         bar.finish_and_clear();
-        print!("{study}");
+        say!("{study}");
         if let Some(path) = &args.csv {
             std::fs::write(path, study.csv()).with_context(|| format!("cannot write {}", path.display()))?;
         }

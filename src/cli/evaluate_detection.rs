@@ -62,10 +62,10 @@ pub fn run(args: &EvaluateDetectionArgs) -> anyhow::Result<()> {
         _ => anyhow::bail!("needs RESULT and TRUTH, or --scenario"),
     };
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&scores)?);
+        say_line!("{}", serde_json::to_string_pretty(&scores)?);
     } else {
         for score in &scores {
-            print!("{score}");
+            say!("{score}");
         }
     }
     Ok(())

@@ -63,8 +63,8 @@ pub fn run(args: &Kim2019Args) -> anyhow::Result<()> {
         std::fs::write(&path, text).with_context(|| format!("cannot write {}", path.display()))?;
     }
     for line in study.verdicts() {
-        println!("{line}");
+        say_line!("{line}");
     }
-    println!("{}", args.out.join("index.html").display());
+    say_line!("{}", args.out.join("index.html").display());
     Ok(())
 }

@@ -42,9 +42,9 @@ pub fn run(args: &EvaluateTrajectoryArgs) -> anyhow::Result<()> {
     let truth = positions(&args.truth, "t", ["x", "y", "z"])?;
     let score = score_trajectory(&estimate, &truth, &TrajectoryScoring::default())?;
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&score)?);
+        say_line!("{}", serde_json::to_string_pretty(&score)?);
     } else {
-        print!("{score}");
+        say!("{score}");
     }
     Ok(())
 }

@@ -144,7 +144,7 @@ fn open_sources(args: &ImportArgs, rig: &Rig) -> anyhow::Result<Vec<Box<dyn Fram
         if path.is_dir() {
             let source = ImageFolder::open(id, path, geometry, stamping)?;
             for warning in source.warnings() {
-                eprintln!("pitchd: warning: {warning}");
+                tell_line!("pitchd: warning: {warning}");
             }
             sources.push(Box::new(source));
         } else {
@@ -169,7 +169,7 @@ fn find_camera<'a>(rig: &'a Rig, id: &CameraId, file: &Path) -> anyhow::Result<&
 fn warn_of_absent(args: &ImportArgs, rig: &Rig) {
     for camera in &rig.cameras {
         if !args.cameras.iter().any(|(id, _)| *id == camera.id) {
-            eprintln!(
+            tell_line!(
                 "pitchd: warning: camera {} of {} gets no images",
                 camera.id,
                 args.rig.display()
@@ -253,14 +253,14 @@ fn progress_bar(expected: Option<u64>) -> ProgressBar {
 
 fn tell(args: &ImportArgs, cameras: &[Imported], seconds: f64) -> anyhow::Result<()> {
     if args.json {
-        println!("{}", serde_json::to_string_pretty(cameras)?);
+        say_line!("{}", serde_json::to_string_pretty(cameras)?);
         return Ok(());
     }
     for camera in cameras {
-        println!("{}: {} frames", camera.camera, camera.frames);
+        say_line!("{}: {} frames", camera.camera, camera.frames);
     }
     let bytes: u64 = cameras.iter().map(|c| c.bytes).sum();
     let rate = bytes as f64 / 1e6 / seconds.max(1e-9);
-    println!("{} in {seconds:.1} s ({rate:.0} MB/s)", args.out.display());
+    say_line!("{} in {seconds:.1} s ({rate:.0} MB/s)", args.out.display());
     Ok(())
 }

@@ -7,8 +7,8 @@ use anyhow::bail;
 use crate::recording::{CameraRecording, SessionReader};
 
 const AFTER_HELP: &str = "\
-Without --verify only the ends of the files are looked at; with it every frame is read and its checksum \
-compared. Exit code 1 when anything is damaged.
+Without --verify only the ends of the files are looked at; with it, or where an end is damaged, every frame is \
+read and its checksum compared. Exit code 1 when anything is damaged.
 
 Example:
   pitchd info sessions/monday --verify";
@@ -33,9 +33,10 @@ pub struct InfoArgs {
 /// The folder is no session, or something in it is damaged.
 pub fn run(args: &InfoArgs) -> anyhow::Result<()> {
     let session = SessionReader::open(&args.session)?;
-    let whole = args.verify.then(|| session.verify());
+    // How much of a damaged file is left can only be told by reading it.
+    let whole = (args.verify || !session.damage().is_empty()).then(|| session.verify());
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&json(&session, whole))?);
+        say_line!("{}", serde_json::to_string_pretty(&json(&session, whole))?);
     } else {
         print(&session, whole);
     }
@@ -47,9 +48,13 @@ pub fn run(args: &InfoArgs) -> anyhow::Result<()> {
 }
 
 fn print(session: &SessionReader, whole: Option<u64>) {
-    println!(
+    say_line!(
         "{:16} {:>11} {:>7} {:>9} {:>9} files",
-        "camera", "size", "frames", "span", "rate"
+        "camera",
+        "size",
+        "frames",
+        "span",
+        "rate"
     );
     for camera in session.cameras() {
         let size = camera
@@ -61,25 +66,25 @@ fn print(session: &SessionReader, whole: Option<u64>) {
             |(span_s, rate_hz)| (format!("{span_s:.3} s"), format!("{rate_hz:.2} Hz")),
         );
         let files = camera.files.len();
-        println!(
+        say_line!(
             "{:16} {size:>11} {frames:>7} {span:>9} {rate:>9} {files}",
             camera.id.as_str()
         );
     }
     let kept = |there: bool| if there { "yes" } else { "no" };
-    println!(
+    say_line!(
         "rig: {}, calibration: {}",
         kept(session.rig_toml().is_some()),
         kept(session.calibration_json().is_some())
     );
     if let Some(whole) = whole {
-        println!("{whole} frames read, checksums right");
+        say_line!("{whole} frames read, checksums right");
     }
     for loss in session.losses() {
-        println!("lost in an earlier repair: {loss}");
+        say_line!("lost in an earlier repair: {loss}");
     }
     for damage in session.damage() {
-        println!("damaged: {damage}");
+        say_line!("damaged: {damage}");
     }
 }
 

@@ -1,5 +1,8 @@
 //! The command line: one file a subcommand; no mathematics.
 
+#[macro_use]
+pub mod terminal;
+
 mod cameras;
 mod check;
 mod emulate;
@@ -62,7 +65,7 @@ pub enum Command {
     Recover(recover::RecoverArgs),
     /// The daemon: live cameras in, pitches out.
     Run(run::RunArgs),
-    /// Make a session from a scenario: stadium, cameras, pitches, noise; truth beside it.
+    /// Make tracks or frames from a scenario: stadium, cameras, pitches, noise; truth beside them.
     Simulate(simulate::SimulateArgs),
     /// Solve 2-D tracks made by any program: delays, poses, pitches.
     Solve(solve::SolveArgs),

@@ -28,15 +28,15 @@ pub struct RecoverArgs {
 pub fn run(args: &RecoverArgs) -> anyhow::Result<()> {
     let repaired = repair_session(&args.session)?;
     if repaired.is_empty() {
-        println!("{}: nothing to mend", args.session.display());
+        say_line!("{}: nothing to mend", args.session.display());
         return Ok(());
     }
     let mut lost = 0;
     for repair in &repaired {
         lost += repair.damage.frames_lost.count();
-        println!("mended: {}", repair.damage);
+        say_line!("mended: {}", repair.damage);
         if let Some(kept) = &repair.kept {
-            println!("  kept: {}", kept.display());
+            say_line!("  kept: {}", kept.display());
         }
     }
     if lost > 0 {

@@ -27,7 +27,7 @@ A damaged session is replayed as far as it can be read; what is lost is named, a
 #[derive(Debug, Args)]
 #[command(after_help = AFTER_HELP)]
 pub struct ReplayArgs {
-    /// Session folder, as `pitchd import`, `simulate` or `run` write it.
+    /// Session folder, as `pitchd import` writes it.
     pub session: PathBuf,
     /// Rig file to use instead of the one inside the session.
     #[arg(long, value_name = "FILE")]
@@ -73,6 +73,8 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     let mut warnings: Vec<String> = watched.iter().flat_map(|w| w.reasons.iter().cloned()).collect();
     let damage = session.damage();
     warnings.extend(damage.iter().map(ToString::to_string));
+    let lost = session.losses().iter();
+    warnings.extend(lost.map(|loss| format!("lost in an earlier repair: {loss}")));
     let tracks: Vec<Track> = watched.iter().flat_map(|w| w.tracks.iter().cloned()).collect();
     let title = if rig.site.name.is_empty() {
         args.session.display().to_string()

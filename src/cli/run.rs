@@ -54,9 +54,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<()> {
     let health = daemon.health().to_vec();
     let log = daemon.finish();
     for camera in &health {
-        eprintln!("pitchd: {}", camera.line());
+        tell_line!("pitchd: {}", camera.line());
     }
-    eprintln!(
+    tell_line!(
         "pitchd: {} pitches, {} lines not taken, latency p50 {} p99 {} ms",
         log.pitches,
         log.lines_dropped,

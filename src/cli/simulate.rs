@@ -51,7 +51,7 @@ pub fn run(args: &SimulateArgs) -> anyhow::Result<()> {
         render(args, &scenario, &mut simulated.truth)?;
     }
     simulation::write_truth(&args.out, &simulated.truth)?;
-    println!(
+    say_line!(
         "{}: {} pitches, {} tracks from {} cameras",
         rig.display(),
         simulated.truth.pitches.len(),
@@ -72,7 +72,7 @@ fn render(args: &SimulateArgs, scenario: &Scenario, truth: &mut Truth) -> anyhow
             .with_prefix(renderer.camera().to_string());
         let count = simulation::write_frames(&args.out, &mut renderer, || bar.inc(1))?;
         bar.finish_and_clear();
-        println!("{}: {count} frames", renderer.camera());
+        say_line!("{}: {count} frames", renderer.camera());
     }
     Ok(())
 }

@@ -152,44 +152,44 @@ impl SolvingArgs {
             tracks,
         )?;
         for warning in &outcome.calibration.warnings {
-            eprintln!("pitchd: warning: {warning}");
+            tell_line!("pitchd: warning: {warning}");
         }
-        print!("{}", table::cameras(&outcome.calibration, rig));
+        say!("{}", table::cameras(&outcome.calibration, rig));
         for (name, value) in &facts {
-            println!("{name}: {value}");
+            say_line!("{name}: {value}");
         }
-        println!("trajectory: {}", self.out.join("trajectory.csv").display());
-        println!("report: {}", report.display());
+        say_line!("trajectory: {}", self.out.join("trajectory.csv").display());
+        say_line!("report: {}", report.display());
         Ok(())
     }
 
     fn print(&self, rig: &Rig, batch: &Batch, plane: PlatePlane, report: &Path) -> anyhow::Result<()> {
         for warning in batch.calibration.warnings.iter().chain(&batch.warnings) {
-            eprintln!("pitchd: warning: {warning}");
+            tell_line!("pitchd: warning: {warning}");
         }
         for left in batch.left_out.iter().take(LEFT_OUT_PRINTED) {
-            eprintln!("pitchd: warning: {left}");
+            tell_line!("pitchd: warning: {left}");
         }
         if let Some(more @ 1..) = batch.left_out.len().checked_sub(LEFT_OUT_PRINTED) {
-            eprintln!(
+            tell_line!(
                 "pitchd: warning: {more} more groups of tracks became no pitch: {} tells",
                 report.display()
             );
         }
         if self.json {
-            print!("{}", results::jsonl(&batch.pitches)?);
+            say!("{}", results::jsonl(&batch.pitches)?);
         } else {
-            print!("{}", table::cameras(&batch.calibration, rig));
-            println!();
+            say!("{}", table::cameras(&batch.calibration, rig));
+            say_line!();
             if batch.calibration.world == WorldFrame::HomePlate {
-                print!("{}", table::pitches(&batch.pitches, plane));
+                say!("{}", table::pitches(&batch.pitches, plane));
             } else {
-                print!("{}", table::flights(&batch.flight_rows()));
-                println!();
-                println!("trajectory: {}", self.out.join("trajectory.csv").display());
+                say!("{}", table::flights(&batch.flight_rows()));
+                say_line!();
+                say_line!("trajectory: {}", self.out.join("trajectory.csv").display());
             }
-            println!();
-            println!("report: {}", report.display());
+            say_line!();
+            say_line!("report: {}", report.display());
         }
         if batch.flights.is_empty() {
             anyhow::bail!("no pitch could be solved (see the warnings)");

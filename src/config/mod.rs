@@ -47,10 +47,16 @@ impl ConfigError {
     /// Turns a TOML error into one line: place, what is wrong, and the nearest known key.
     fn from_toml(path: &Path, text: &str, error: &toml::de::Error) -> Self {
         let line = error.span().map_or(1, |span| line_of(text, span.start));
+        let mut reason = nearest::explain(error.message());
+        // A wrong type names no key of its own.
+        let key = text.lines().nth(line - 1).and_then(|l| l.split_once('='));
+        if let Some((key, _)) = key.filter(|_| reason.starts_with("invalid")) {
+            reason = format!("`{}`: {reason}", key.trim());
+        }
         Self::Invalid {
             path: path.to_owned(),
             line,
-            reason: nearest::explain(error.message()),
+            reason,
         }
     }
 }

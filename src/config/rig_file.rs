@@ -269,8 +269,8 @@ impl Checker<'_> {
         }
         Err(self.inconsistent(format!(
             "{owner}: `{key} = {value}` is out of range ({} to {})",
-            range.start(),
-            range.end()
+            short(*range.start()),
+            short(*range.end())
         )))
     }
 
@@ -426,6 +426,11 @@ impl Checker<'_> {
             sigma_m,
         })
     }
+}
+
+/// Six figures: 0.00572 rather than 0.005719999999999999.
+fn short(value: f64) -> String {
+    format!("{value:.5e}").parse::<f64>().unwrap_or(value).to_string()
 }
 
 fn unknown_landmark(error: &crate::scene::UnknownLandmark) -> String {

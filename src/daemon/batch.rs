@@ -3,15 +3,22 @@
 use crate::calibration::association::{Association, AssociationOptions, associate};
 use crate::calibration::kim2019::{self, Kim2019Options};
 use crate::calibration::recipe::{CalibrationOptions, CalibrationOutcome, calibrate};
+use crate::calibration::resection::LANDMARKS_NEEDED;
+use crate::calibration::trust::doubts;
 use crate::calibration::{CalibrationError, PitchTracks};
 use crate::export::report::{Residual, TrajectoryRow};
 use crate::export::table::FlightRow;
 use crate::flight::{
-    CamerasKnown, FlightError, FlightOptions, NumbersError, PitchOptions, SolvedFlight, flight_samples,
-    pitch_from_flight, residuals, solve_flight, speed_at,
+    FlightError, FlightOptions, NumbersError, PitchOptions, SolvedFlight, flight_samples, pitch_from_flight,
+    residuals, solve_flight, speed_at,
 };
-use crate::scene::{Calibration, CalibrationMethod, CameraId, Pitch, Rig, Track, WorldFrame};
+use crate::scene::{
+    Calibration, CalibrationMethod, CameraId, Pitch, PitchQuality, Rig, Track, TrackPoint, WorldFrame,
+};
 use crate::time::NANOS_PER_SECOND;
+
+/// A flight is seen again within this long or not at all, seconds: release to plate takes half of it.
+const PAUSE_S: f64 = 1.0;
 
 /// How tracks become pitches.
 #[derive(Debug, Clone, Default)]
@@ -64,6 +71,8 @@ pub struct Batch {
     pub warnings: Vec<String>,
     /// Groups of tracks that became no pitch, and why.
     pub left_out: Vec<String>,
+    /// What is doubtful about the calibration, and so about every pitch.
+    doubts: Vec<(PitchQuality, String)>,
 }
 
 /// Calibrates if need be and solves every pitch.
@@ -82,6 +91,7 @@ pub fn solve_tracks(rig: &Rig, tracks: &[Track], options: &BatchOptions) -> Resu
                 .join(", "),
         });
     }
+    let tracks = &split_at_pauses(tracks);
     let mut warnings = silent_cameras(rig, tracks);
     let mut left_out = Vec::new();
     let seeing = rig.only(|c| has_points(&c.id, tracks));
@@ -120,7 +130,10 @@ pub fn solve_tracks(rig: &Rig, tracks: &[Track], options: &BatchOptions) -> Resu
             (outcome.calibration.clone(), pair_up(outcome))
         }
     };
+    let doubts = doubts(rig, &calibration);
+    warnings.extend(doubts.iter().map(|(_, doubt)| format!("calibration: {doubt}")));
     let mut batch = Batch {
+        doubts,
         calibration,
         pitches: Vec::new(),
         flights: Vec::new(),
@@ -130,6 +143,17 @@ pub fn solve_tracks(rig: &Rig, tracks: &[Track], options: &BatchOptions) -> Resu
     };
     batch.fly(rig, solved);
     Ok(batch)
+}
+
+/// Root mean square reprojection error over all cameras of a calibration, pixels.
+fn usual_rms_px(calibration: &Calibration) -> f64 {
+    let points: usize = calibration.cameras.iter().map(|c| c.points).sum();
+    let sum: f64 = calibration
+        .cameras
+        .iter()
+        .map(|c| c.points as f64 * c.reprojection_rms_px * c.reprojection_rms_px)
+        .sum();
+    (sum / points.max(1) as f64).sqrt()
 }
 
 type Group = (PitchTracks, Option<SolvedFlight>);
@@ -159,6 +183,28 @@ fn silent_cameras(rig: &Rig, tracks: &[Track]) -> Vec<String> {
             }
         })
         .collect()
+}
+
+/// A number that a program gives to several balls of a camera is several tracks: no flight pauses this long.
+fn split_at_pauses(tracks: &[Track]) -> Vec<Track> {
+    let mut split: Vec<Track> = Vec::with_capacity(tracks.len());
+    for track in tracks {
+        let next_number = |split: &[Track]| {
+            let same = |t: &&Track| t.camera == track.camera;
+            let used = tracks.iter().chain(split).filter(same).map(|t| t.track).max();
+            used.map_or(0, |n| n.saturating_add(1))
+        };
+        let goes_on = |a: &TrackPoint, b: &TrackPoint| b.stamped.seconds_since(a.stamped.nanos()) <= PAUSE_S;
+        for (i, points) in track.points.chunk_by(goes_on).enumerate() {
+            let number = if i == 0 { track.track } else { next_number(&split) };
+            split.push(Track {
+                camera: track.camera.clone(),
+                track: number,
+                points: points.to_vec(),
+            });
+        }
+    }
+    split
 }
 
 fn has_points(camera: &CameraId, tracks: &[Track]) -> bool {
@@ -241,8 +287,10 @@ impl Batch {
     fn fly(&mut self, rig: &Rig, groups: Vec<Group>) {
         let home_plate = self.calibration.world == WorldFrame::HomePlate;
         if !home_plate {
+            let clicked = rig.cameras.iter().map(|c| c.landmarks.len()).max().unwrap_or(0);
             self.warnings.push(format!(
-                "no landmarks: positions are relative to camera {}, and there are no plate numbers",
+                "no place in the home-plate frame ({LANDMARKS_NEEDED} landmarks in a camera are needed, {clicked} are there): \
+                 positions are relative to camera {}, and there are no plate numbers",
                 self.calibration.reference
             ));
         }
@@ -288,11 +336,8 @@ impl Batch {
         let options = PitchOptions {
             sample_rate_hz: rig.reference_camera().frame_rate_hz,
             calibration_version: self.calibration.version,
-            cameras_known: if self.calibration.parameters.is_empty() {
-                CamerasKnown::WithoutSigma
-            } else {
-                CamerasKnown::WithSigma
-            },
+            calibration_rms_px: usual_rms_px(&self.calibration),
+            doubts: self.doubts.clone(),
             ..PitchOptions::default()
         };
         match pitch_from_flight(flight, number, &options) {

@@ -136,11 +136,21 @@ pub fn read_pitches(path: &Path) -> Result<Vec<Pitch>, ExportError> {
 /// [`ExportError`] with file and line.
 pub fn read_calibration(path: &Path) -> Result<Calibration, ExportError> {
     let text = std::fs::read_to_string(path).map_err(ExportError::reading(path))?;
-    serde_json::from_str(&text).map_err(|error| ExportError::Line {
+    let calibration: Calibration = serde_json::from_str(&text).map_err(|error| ExportError::Line {
         path: path.to_owned(),
         line: error.line(),
         reason: format!("no calibration: {}", without_place(&error)),
-    })
+    })?;
+    let needed = calibration.parameters.len();
+    let rows = &calibration.covariance;
+    if rows.len() != needed || rows.iter().any(|row| row.len() != needed) {
+        return Err(ExportError::Line {
+            path: path.to_owned(),
+            line: 1,
+            reason: format!("no calibration: its covariance is not {needed}×{needed}, as its parameters ask"),
+        });
+    }
+    Ok(calibration)
 }
 
 /// One pitch a line.

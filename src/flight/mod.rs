@@ -33,7 +33,7 @@ pub use numbers::{
 };
 pub use outcome::{SolvedFlight, TrackFit};
 pub use physics::{Aerodynamics, Physics};
-pub use pitch::{CamerasKnown, PitchOptions, flight_samples, pitch_from_flight};
+pub use pitch::{PitchOptions, flight_samples, pitch_from_flight};
 pub use residuals::{PointResidual, residuals};
 pub use solve::{FlightOptions, solve_flight};
 pub use start::linear_start;

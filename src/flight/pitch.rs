@@ -19,6 +19,10 @@ const DEFAULT_BATTER_HEIGHT_M: f64 = 1.83;
 const WEAK_PLATE_SIGMA_M: f64 = 0.020;
 /// From here on it is no location at all.
 const USELESS_PLATE_SIGMA_M: f64 = 0.150;
+/// Points this far off the flight, and this many times farther than when the cameras were calibrated, tell of
+/// cameras that stand elsewhere.
+const FAR_OFF_PX: f64 = 1.0;
+const FAR_OFF_RATIO: f64 = 5.0;
 /// The ball must have been followed to this close to the plate, or the last part is extrapolated.
 const FOLLOWED_TO_Y_M: f64 = 3.0;
 
@@ -33,17 +37,10 @@ pub struct PitchOptions {
     pub sample_rate_hz: f64,
     /// Version of the calibration the flight was solved with.
     pub calibration_version: u32,
-    /// Whether the flight's covariance holds the calibration's.
-    pub cameras_known: CamerasKnown,
-}
-
-/// What a flight's covariance says of the cameras.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum CamerasKnown {
-    /// Their own uncertainty is in it.
-    WithSigma,
-    /// It takes them as exact: whoever placed them told no sigma.
-    WithoutSigma,
+    /// Root mean square reprojection error of the calibration's own points, pixels; 0: not told.
+    pub calibration_rms_px: f64,
+    /// What is doubtful about every pitch of this calibration.
+    pub doubts: Vec<(PitchQuality, String)>,
 }
 
 impl Default for PitchOptions {
@@ -53,7 +50,8 @@ impl Default for PitchOptions {
             zone: StrikeZone::for_height(DEFAULT_BATTER_HEIGHT_M),
             sample_rate_hz: 175.0,
             calibration_version: 1,
-            cameras_known: CamerasKnown::WithSigma,
+            calibration_rms_px: 0.0,
+            doubts: Vec::new(),
         }
     }
 }
@@ -117,7 +115,7 @@ pub fn pitch_from_flight(
         quality: PitchQuality::Good,
         reasons: Vec::new(),
     };
-    judge(&mut made, flight, options.cameras_known);
+    judge(&mut made, flight, options);
     Ok(made)
 }
 
@@ -225,7 +223,7 @@ fn statcast(
 }
 
 /// Sets quality and reasons.
-fn judge(pitch: &mut Pitch, flight: &SolvedFlight, cameras_known: CamerasKnown) {
+fn judge(pitch: &mut Pitch, flight: &SolvedFlight, options: &PitchOptions) {
     let mut reasons = Vec::new();
     let mut quality = PitchQuality::Good;
     let mut note = |worst: PitchQuality, reason: String| {
@@ -254,9 +252,15 @@ fn judge(pitch: &mut Pitch, flight: &SolvedFlight, cameras_known: CamerasKnown) 
             format!("plate location is only good to {:.0} mm", 1e3 * sigma),
         );
     }
-    if cameras_known == CamerasKnown::WithoutSigma {
-        let reason = "its sigmas leave out the cameras' own error, which the calibration does not tell";
-        note(PitchQuality::Degraded, reason.to_owned());
+    for (worst, doubt) in &options.doubts {
+        note(*worst, doubt.clone());
+    }
+    let (rms_px, usual_px) = (pitch.reprojection_rms_px, options.calibration_rms_px);
+    if rms_px > FAR_OFF_PX && rms_px > FAR_OFF_RATIO * usual_px {
+        let reason = format!(
+            "its points lie {rms_px:.1} px off the flight, {usual_px:.2} px in the calibration: a camera has moved, or it is another rig's calibration"
+        );
+        note(PitchQuality::Poor, reason);
     }
     let last_y = flight.trajectory.position_m(flight.observed_s.1).y;
     if last_y > FOLLOWED_TO_Y_M {

@@ -72,9 +72,22 @@ pub struct Intrinsics {
     pub cx_px: f64,
     /// Principal point, row, pixels.
     pub cy_px: f64,
-    /// k1 k2 p1 p2 k3 (OpenCV order).
-    #[serde(default)]
+    /// k1 k2 p1 p2 k3 (OpenCV order); a file may leave out k3.
+    #[serde(default, deserialize_with = "four_or_five")]
     pub distortion: [f64; 5],
+}
+
+fn four_or_five<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<[f64; 5], D::Error> {
+    let given = <Vec<f64> as Deserialize>::deserialize(deserializer)?;
+    match *given.as_slice() {
+        [] => Ok([0.0; 5]),
+        [k1, k2, p1, p2] => Ok([k1, k2, p1, p2, 0.0]),
+        [k1, k2, p1, p2, k3] => Ok([k1, k2, p1, p2, k3]),
+        _ => Err(serde::de::Error::custom(format!(
+            "{} distortion coefficients, where k1 k2 p1 p2 and k3 are meant",
+            given.len()
+        ))),
+    }
 }
 
 impl Intrinsics {

@@ -285,6 +285,13 @@ impl SessionReader {
         &self.losses
     }
 
+    /// Frames that the session file says are in a camera's file.
+    pub(super) fn frames_expected(&self, file: &Path) -> Option<u64> {
+        let segments = self.cameras.iter().flat_map(|c| &c.segments);
+        let segment = segments.into_iter().find(|s| s.path == file)?;
+        Some(segment.expected.as_ref()?.frames)
+    }
+
     /// A camera's frames by rising stamps, read as they are asked for. `None`: no such camera.
     pub fn frames(&self, camera: &CameraId) -> Option<CameraFrames> {
         let found = self.cameras.iter().find(|c| c.recording.id == *camera)?;

@@ -46,7 +46,7 @@ pub fn repair_session(folder: &Path) -> Result<Vec<Repaired>, RecordingError> {
     let mut entries = FileEntries::new();
     for camera in reader.cameras() {
         for file in &camera.files {
-            let mended = mend(file, &camera.id, &attached)?;
+            let mended = mend(file, &camera.id, &attached, reader.frames_expected(file))?;
             if let Some(entry) = mended.entry {
                 entries.insert(mended.name, entry);
             }
@@ -86,7 +86,13 @@ struct Mended {
     repaired: Option<Repaired>,
 }
 
-fn mend(file: &Path, camera: &CameraId, attached: &Attached) -> Result<Mended, RecordingError> {
+/// `expected`: frames that the session file says are in it.
+fn mend(
+    file: &Path,
+    camera: &CameraId,
+    attached: &Attached,
+    expected: Option<u64>,
+) -> Result<Mended, RecordingError> {
     let io = |e| RecordingError::io(file, e);
     let name = file
         .file_name()
@@ -102,7 +108,7 @@ fn mend(file: &Path, camera: &CameraId, attached: &Attached) -> Result<Mended, R
         .to_string_lossy()
         .into_owned();
     let (mut scanner, entry) = survey(file, camera, finished)?;
-    let Some(damage) = scanner.damage(None) else {
+    let Some(damage) = scanner.damage(expected) else {
         return Ok(Mended {
             name: good_name,
             entry,

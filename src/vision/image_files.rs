@@ -4,7 +4,10 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use opencv::core::{CV_8U, Mat, MatTraitConst, MatTraitConstManual};
-use opencv::videoio::{CAP_ANY, CAP_PROP_FRAME_COUNT, CAP_PROP_FRAME_HEIGHT, CAP_PROP_FRAME_WIDTH};
+use opencv::core::{LogLevel, set_log_level};
+use opencv::videoio::{
+    CAP_ANY, CAP_FFMPEG, CAP_PROP_FRAME_COUNT, CAP_PROP_FRAME_HEIGHT, CAP_PROP_FRAME_WIDTH,
+};
 use opencv::videoio::{VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst};
 use opencv::{imgcodecs, imgproc};
 
@@ -185,10 +188,14 @@ impl VideoReader {
         };
         std::fs::File::open(file).map_err(|e| wrong(&e.to_string()))?;
         let path = file.to_str().ok_or_else(|| wrong("its name is not UTF-8"))?;
-        let capture = VideoCapture::from_file(path, CAP_ANY).map_err(|e| wrong(&e.message))?;
-        if !capture.is_opened().unwrap_or(false) {
-            return Err(wrong("is not a readable video"));
-        }
+        // What is wrong is told by our own error; OpenCV's words would go to stderr beside it.
+        set_log_level(LogLevel::LOG_LEVEL_SILENT).map_err(|e| wrong(&e.message))?;
+        // FFmpeg first: GStreamer, which is tried otherwise, has its own way of shouting.
+        let capture = [CAP_FFMPEG, CAP_ANY]
+            .into_iter()
+            .filter_map(|backend| VideoCapture::from_file(path, backend).ok())
+            .find(|capture| capture.is_opened().unwrap_or(false))
+            .ok_or_else(|| wrong("is not a readable video"))?;
         // OpenCV says 0 or a negative number where it does not know.
         let property = |id| capture.get(id).ok().filter(|v| v.is_finite() && *v > 0.0);
         let side = |id| property(id).map_or(0, |v| v as u32);
