@@ -65,7 +65,7 @@ impl Default for DetectorConfig {
             busy_fraction_max: 0.4,
             radius_px: [1.2, 14.0],
             break_s: 0.25,
-            patch_bytes: 16 << 20,
+            patch_bytes: 32 << 20,
             regions: Vec::new(),
             masks: Vec::new(),
         }

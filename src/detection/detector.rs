@@ -26,12 +26,15 @@ const BLOB_SIDE_MAX_PX: usize = 48;
 const NEAR_FRAMES_MAX: usize = 3;
 /// Large blobs looked into in one frame.
 const LARGE_BLOBS_MAX: usize = 8;
+/// A blob with a longer side may be a ball and something else, and so many of these are looked into.
+const MIXED_SIDE_MIN_PX: usize = 12;
+const MIXED_BLOBS_MAX: usize = 16;
 /// Pixels around a small blob that are looked at too.
 const WINDOW_MARGIN_PX: f64 = 3.5;
 /// An expected ball is believed from this many σ of a pixel's difference, as the mean over 3×3 pixels.
 const EXPECTED_SIGMAS: f64 = 1.5;
-/// ... and no other candidate may be nearer than this, pixels.
-const EXPECTED_APART_PX: f64 = 2.5;
+/// Candidates nearer than this to each other are one, pixels.
+const APART_PX: f64 = 2.5;
 /// Most expected balls of one frame.
 const EXPECTED_MAX: usize = 8;
 
@@ -308,24 +311,36 @@ impl Detector {
             .sort_unstable_by(|a, b| b.significance().total_cmp(&a.significance()));
         let most = self.config.candidates_max;
         self.counters.candidates_dropped += self.blobs.blobs.len().saturating_sub(most) as u64;
-        let mut large = 0;
+        let (mut large, mut mixed) = (LARGE_BLOBS_MAX, MIXED_BLOBS_MAX);
         for blob in self.blobs.blobs.iter().take(most) {
             let side = (blob.right - blob.left).max(blob.bottom - blob.top);
-            if side > BLOB_SIDE_MAX_PX {
-                large += 1;
-                if large <= LARGE_BLOBS_MAX
-                    && let Some(near) = &near
-                {
-                    let threshold = (0.5 * sigmas * f64::from(blob.difference_sigma)).clamp(1.0, 254.0) as u8;
-                    let spots = self.movers.find(near, blob, step + 1, threshold);
-                    self.found.extend(spots.filter_map(|(moments, spot)| {
-                        Some((candidate(&self.config, stamp, &moments)?, spot, Behind::Near))
-                    }));
-                }
-            } else if let Some(found) =
+            let whole = if side > BLOB_SIDE_MAX_PX {
+                None
+            } else {
                 small_ball(&images, blob, side).and_then(|m| candidate(&self.config, stamp, &m))
-            {
-                self.found.push((found, *blob, Behind::Far));
+            };
+            self.found.extend(whole.map(|found| (found, *blob, Behind::Far)));
+            // Larger than a ball: a player with a ball before him, or a ball that touches something that moves.
+            let budget = if side > BLOB_SIDE_MAX_PX {
+                &mut large
+            } else if side > MIXED_SIDE_MIN_PX {
+                &mut mixed
+            } else {
+                continue;
+            };
+            let Some(left) = budget.checked_sub(1) else {
+                continue;
+            };
+            *budget = left;
+            if let Some(near) = &near {
+                let threshold = (0.5 * sigmas * f64::from(blob.difference_sigma)).clamp(1.0, 254.0) as u8;
+                for (moments, spot) in self.movers.find(near, blob, step + 1, threshold) {
+                    if let Some(found) = candidate(&self.config, stamp, &moments)
+                        && whole.is_none_or(|whole| apart(&whole, &found))
+                    {
+                        self.found.push((found, spot, Behind::Near));
+                    }
+                }
             }
         }
         self.expected.clear();
@@ -336,9 +351,7 @@ impl Detector {
                 expected.centre.x.max(0.0) as usize / TILE_WIDTH_PX,
             );
             if let Some(found) = look_at(&images, expected, sigma, &self.config, stamp)
-                && self.found.iter().all(|(other, ..)| {
-                    (other.centre.vector() - found.0.centre.vector()).norm() > EXPECTED_APART_PX
-                })
+                && self.found.iter().all(|(other, ..)| apart(other, &found.0))
             {
                 self.found.push((found.0, found.1, Behind::Far));
             }
@@ -357,6 +370,11 @@ impl Detector {
         }
         answers.answer(stamp, &self.detections);
     }
+}
+
+/// Whether two detections are not of the same ball.
+fn apart(one: &Detection, other: &Detection) -> bool {
+    (one.centre.vector() - other.centre.vector()).norm() > APART_PX
 }
 
 fn candidate(config: &DetectorConfig, stamp: FrameStamp, found: &Moments) -> Option<Detection> {

@@ -24,6 +24,7 @@ mod movers;
 #[cfg(test)]
 pub(crate) mod painter;
 mod patches;
+mod path;
 mod refine;
 mod regions;
 mod tiles;

@@ -11,8 +11,12 @@ use crate::time::StampedMidpoint;
 
 /// Pixels around a blob's box that are kept too.
 const MARGIN_PX: usize = 6;
-/// A cut-out is never wider or higher than this.
-const SIDE_MAX_PX: usize = 64;
+/// A cut-out reaches at most this far from the centre: radii and streaks of the candidate, and pixels beyond.
+const REACH_RADII: f64 = 2.0;
+const REACH_STREAKS: f64 = 0.6;
+const REACH_MARGIN_PX: f64 = 12.0;
+/// ... and never further than this.
+const REACH_MAX_PX: f64 = 44.0;
 
 /// Where a cut-out is, in the frame and in the arena.
 #[derive(Debug, Clone, Copy)]
@@ -72,8 +76,11 @@ impl PatchPool {
         if self.headers.back().is_some_and(|newest| newest.stamped > stamped) {
             self.headers.clear();
         }
-        let (left, width) = span(blob.left, blob.right, centre.x, images.width_px);
-        let (top, height) = span(blob.top, blob.bottom, centre.y, images.height_px);
+        let [sx, sy] = detection.streak_px;
+        let reach = REACH_RADII * detection.radius_px + REACH_STREAKS * sx.hypot(sy) + REACH_MARGIN_PX;
+        let reach = reach.min(REACH_MAX_PX);
+        let (left, width) = span((blob.left, blob.right), centre.x, reach, images.width_px);
+        let (top, height) = span((blob.top, blob.bottom), centre.y, reach, images.height_px);
         let size = 3 * width * height;
         if size == 0 || size > self.bytes.len() {
             return;
@@ -143,14 +150,11 @@ impl PatchPool {
     }
 }
 
-/// First pixel and count along one axis: the blob with its margin, or the middle of a large one.
-fn span(first: usize, last: usize, centre: f64, size: usize) -> (usize, usize) {
-    let begin = first.saturating_sub(MARGIN_PX);
-    let end = (last + 1 + MARGIN_PX).min(size);
-    if end - begin.min(end) <= SIDE_MAX_PX {
-        return (begin, end - begin.min(end));
-    }
-    let begin = (centre.max(0.0) as usize).saturating_sub(SIDE_MAX_PX / 2);
-    let end = (begin + SIDE_MAX_PX).min(size);
-    (begin.min(end), end - begin.min(end))
+/// First pixel and count along one axis: the blob with its margin, as far as the reach around the centre goes.
+fn span((first, last): (usize, usize), centre: f64, reach: f64, size: usize) -> (usize, usize) {
+    let lowest = (centre - reach).max(0.0) as usize;
+    let highest = (centre + reach).max(0.0) as usize + 1;
+    let begin = first.saturating_sub(MARGIN_PX).max(lowest).min(size);
+    let end = (last + 1 + MARGIN_PX).min(highest).min(size);
+    (begin, end.saturating_sub(begin))
 }

@@ -3,8 +3,9 @@
 use nalgebra::{Matrix2, Vector2};
 
 use super::disc::Edge;
-use super::fit::{Picture, PictureStart, Shared, fit_centre, fit_shared};
+use super::fit::{FittedCentre, Picture, PictureStart, Shared, fit_centre, fit_shared};
 use super::patches::PatchPool;
+use super::path::between;
 use crate::geometry::Pixel;
 use crate::scene::{Track, TrackPoint};
 
@@ -32,6 +33,8 @@ const STREAK_SCALE_SIGMA: f64 = 0.03;
 const RADIUS_OVER_FIRST_LOOK: f64 = 1.3;
 /// What is left of light and blur in a centre, the same way for a whole track, pixels.
 const SYSTEMATIC_PX: f64 = 0.015;
+/// A centre further than this from the path of its neighbours is sought again.
+const OFF_PATH_PX: f64 = 0.8;
 /// A frame this unlike the ball keeps its centroid.
 const CHI2_MAX: f64 = 25.0;
 
@@ -136,15 +139,43 @@ pub fn refine(
     let mut shared = shared;
     shared.release_light();
     let (covariance, _) = fit_shared(&mut pictures, &mut shared, &edge, STEPS.1)?;
-    let mut fitted = 0;
+    let mut centres: Vec<Option<FittedCentre>> = vec![None; track.points.len()];
     for (index, picture) in indices.iter().zip(&mut pictures) {
-        let Some(centre) = fit_centre(picture, &shared, &covariance, &edge) else {
+        if let Some(slot) = centres.get_mut(*index) {
+            *slot = fit_centre(picture, &shared, &covariance, &edge).filter(|c| c.chi2 <= CHI2_MAX);
+        }
+    }
+    let path = centres.clone();
+    for (index, start) in &starts {
+        let Some(expected) = between(track, &path, *index) else {
             continue;
         };
-        if centre.chi2 > CHI2_MAX {
+        let Some(slot) = centres.get_mut(*index) else {
+            continue;
+        };
+        if slot.is_some_and(|c| (c.centre_px - expected).norm() < OFF_PATH_PX) {
             continue;
         }
-        if let Some(point) = track.points.get_mut(*index) {
+        // Where an arm or an edge drew the centroid away the fit began beside the ball: again from the path.
+        let again = PictureStart {
+            centre_px: expected,
+            radius_px: shared.radius_px(start.place),
+            ..*start
+        };
+        let point = track.points.get(*index)?;
+        let picture = pool
+            .find(point.stamped, point.pixel)
+            .and_then(|patch| Picture::new(&patch, &again, &edge));
+        let better = picture.and_then(|mut picture| fit_centre(&mut picture, &shared, &covariance, &edge));
+        if let Some(better) =
+            better.filter(|c| c.chi2 <= CHI2_MAX && (c.centre_px - expected).norm() < OFF_PATH_PX)
+        {
+            *slot = Some(better);
+        }
+    }
+    let mut fitted = 0;
+    for (point, centre) in track.points.iter_mut().zip(&centres) {
+        if let Some(centre) = centre {
             point.pixel = Pixel::new(centre.centre_px.x, centre.centre_px.y);
             point.covariance_px2 = Some(centre.covariance_px2 + Matrix2::identity() * SYSTEMATIC_PX.powi(2));
             fitted += 1;

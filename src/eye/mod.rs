@@ -9,6 +9,9 @@ use crate::tracking::{
 /// Departure of refined centres from a smooth path beyond their covariance, pixels.
 const REFINED_FLOOR_PX: f64 = 0.2;
 
+/// Refined centres of a ball are no further than this from a smooth path (rms, pixels).
+const REFINED_ROUGHNESS_MAX_PX: f64 = 0.5;
+
 /// Settings of an eye.
 #[derive(Debug, Clone, Default)]
 pub struct EyeConfig {
@@ -41,6 +44,16 @@ impl Answers for Guided<'_> {
     }
 
     fn answer(&mut self, stamp: FrameStamp, detections: &[Detection]) {
+        for d in detections {
+            tracing::trace!(
+                frame = stamp.frame,
+                x = d.centre.x,
+                y = d.centre.y,
+                radius = d.radius_px,
+                strength = d.strength,
+                "candidate"
+            );
+        }
         self.0.push(stamp, detections);
     }
 }
@@ -88,6 +101,7 @@ impl CameraEye {
             if ball.kind == TrackKind::Pitch
                 && let Some(refinement) = self.detector.refine(&mut ball.track)
             {
+                tracing::debug!(camera = %ball.track.camera, points = ball.track.points.len(), ?refinement, "refined");
                 if let Some(polished) = polish(&ball.track, REFINED_FLOOR_PX) {
                     ball.track = polished;
                 }
@@ -95,14 +109,14 @@ impl CameraEye {
                     ball.shape = shape;
                     ball.kind = shape.kind(&self.tracker_config);
                 }
-                if refinement.fitted < refinement.left {
+                if refinement.fitted < refinement.left || ball.shape.roughness_px > REFINED_ROUGHNESS_MAX_PX {
                     ball.kind = TrackKind::Rough;
                 }
             }
-            if ball.kind == TrackKind::Pitch {
-                if let Some((step_px, length_px)) = slowest_step(&ball.track, ball.shape.radius_px) {
-                    self.detector.adapt_lag(step_px, length_px);
-                }
+            if ball.kind == TrackKind::Pitch
+                && let Some((step_px, length_px)) = slowest_step(&ball.track, ball.shape.radius_px)
+            {
+                self.detector.adapt_lag(step_px, length_px);
             }
             let ends = ball.track.points.first().zip(ball.track.points.last());
             let frames = ends.map(|(first, last)| (first.frame, last.frame));

@@ -24,6 +24,11 @@ const GROW_MAX_PX: f64 = 5.0;
 /// Points taken off an end at once, and the rms distance from a smooth curve that is smooth enough, pixels.
 const TRIM_STEP: usize = 2;
 const TRIM_RMS_PX: f64 = 0.9;
+/// Last points left out before a path is followed on.
+const LEFT_OUT: [usize; 3] = [0, 4, 8];
+/// So few points after a gap of more than so many frames do not belong to a path.
+const STRAGGLERS_MAX: usize = 3;
+const STRAGGLER_GAP: f64 = 5.5;
 /// This many points in a row off the path end it.
 const STRAYS_MAX: usize = 4;
 /// A centroid that was not refined (variance per axis above this, px²) may be off by so much, pixels.
@@ -179,12 +184,48 @@ fn roughness_px(points: &[Point]) -> f64 {
 }
 
 /// Adds detections that lie on the path's continuation, into the future and then into the past.
-fn extend(config: &TrackerConfig, mut points: Vec<Point>, history: &VecDeque<FramePoints>) -> Vec<Point> {
-    follow(config, &mut points, history.iter());
+fn extend(config: &TrackerConfig, points: Vec<Point>, history: &VecDeque<FramePoints>) -> Vec<Point> {
+    let mut points = follow_on(config, points, || history.iter());
     points.reverse();
-    follow(config, &mut points, history.iter().rev());
+    points = follow_on(config, points, || history.iter().rev());
     points.reverse();
     points
+}
+
+/// Follows the path, also from a little before its end: its last points may already have been drawn aside (by an
+/// edge of shadow, by an arm). The longest way counts.
+fn follow_on<'a, I: Iterator<Item = &'a FramePoints>>(
+    config: &TrackerConfig,
+    points: Vec<Point>,
+    frames: impl Fn() -> I,
+) -> Vec<Point> {
+    let mut best: Option<Vec<Point>> = None;
+    for left_out in LEFT_OUT {
+        let keep = points.len().saturating_sub(left_out);
+        if left_out > 0 && keep < WINDOW {
+            break;
+        }
+        let mut trial = points.get(..keep).unwrap_or(&[]).to_vec();
+        follow(config, &mut trial, frames());
+        drop_stragglers(&mut trial);
+        if best.as_ref().is_none_or(|best| trial.len() > best.len()) {
+            best = Some(trial);
+        }
+    }
+    best.unwrap_or(points)
+}
+
+/// Drops a few last points far from the rest: over so long a gap something is always near the path.
+fn drop_stragglers(points: &mut Vec<Point>) {
+    let tail = points.len().saturating_sub(STRAGGLERS_MAX + 1);
+    let gap = points
+        .get(tail..)
+        .unwrap_or(&[])
+        .windows(2)
+        .position(|pair| matches!(pair, [a, b] if (b.t - a.t).abs() > STRAGGLER_GAP));
+    if let Some(gap) = gap {
+        points.truncate(tail + gap + 1);
+    }
 }
 
 /// Follows the path through frames in the order given.

@@ -22,6 +22,11 @@ const YOUNG: (usize, f64) = (6, 3.0);
 /// Two paths that share more than this are one ball.
 const SHARED_MAX: f64 = 0.3;
 
+/// The rest of a lost ball begins at most so many frames before and after the end seen, this much off.
+const REST_OVERLAP_FRAMES: f64 = 8.0;
+const REST_GAP_FRAMES: f64 = 16.0;
+const REST_SPEED_SHARE: f64 = 0.3;
+const REST_OFF_PX: f64 = 6.0;
 /// This many paths side by side are parts of one moving body.
 const COMPANIONS_MIN: usize = 2;
 /// Paths side by side are no further apart than this, pixels, and this share of their speed.
@@ -55,6 +60,7 @@ pub struct Tracker {
     alive: Vec<Hypothesis>,
     recent: Vec<Vec<Point>>,
     ending: Vec<Vec<Point>>,
+    pending: Vec<(Vec<Point>, TrackedBall)>,
     finished: Vec<TrackedBall>,
     next_number: u32,
     counters: TrackerCounters,
@@ -71,6 +77,7 @@ impl Tracker {
             alive: Vec::new(),
             recent: Vec::new(),
             ending: Vec::new(),
+            pending: Vec::new(),
             finished: Vec::new(),
             next_number: 1,
             counters: TrackerCounters::default(),
@@ -142,6 +149,7 @@ impl Tracker {
         for hypothesis in ended {
             self.end(hypothesis);
         }
+        self.release();
         self.ending.clear();
         self.history.clear();
         self.recent.clear();
@@ -231,6 +239,7 @@ impl Tracker {
         for hypothesis in ended {
             self.end(hypothesis);
         }
+        self.release();
     }
 
     /// Other paths that went beside this one at its velocity.
@@ -269,24 +278,67 @@ impl Tracker {
             return;
         };
         let (points, mut ball) = ball;
-        let known = |recent: &Vec<Point>| {
-            let both = points.iter().filter(|p| recent.iter().any(|q| q.same(p))).count();
+        let shared = |other: &[Point]| {
+            let both = points.iter().filter(|p| other.iter().any(|q| q.same(p))).count();
             both as f64 > SHARED_MAX * points.len() as f64
         };
-        if self.recent.iter().any(known) {
+        // The end of a ball that was lost for a while also finds its begin: the longer one counts.
+        if let Some(index) = self.pending.iter().position(|(other, _)| shared(other)) {
+            let longer = self
+                .pending
+                .get(index)
+                .is_some_and(|(_, held)| held.track.points.len() < ball.track.points.len());
+            if !longer {
+                return;
+            }
+            let (replaced, _) = self.pending.remove(index);
+            self.recent.retain(
+                |other| !matches!((other.first(), replaced.first()), (Some(a), Some(b)) if a.same(b)),
+            );
+        }
+        if self.recent.iter().any(|other| shared(other)) {
             return;
         }
         if ball.kind == TrackKind::Pitch && self.companions(&points) >= COMPANIONS_MIN {
             ball.kind = TrackKind::Group;
         }
-        self.recent.push(points);
+        self.recent.push(points.clone());
         if self.recent.len() > RECENT_MAX {
             self.recent.remove(0);
         }
-        ball.track.track = self.next_number;
-        self.next_number += 1;
-        self.finished.push(ball);
+        self.pending.push((points, ball));
     }
+
+    /// Gives out the ended balls that no living path may yet turn out to be the rest of.
+    fn release(&mut self) {
+        let alive = &self.alive;
+        let (held, free): (Vec<_>, Vec<_>) = std::mem::take(&mut self.pending)
+            .into_iter()
+            .partition(|(points, _)| alive.iter().any(|h| goes_on(points, &h.points)));
+        self.pending = held;
+        for (_, mut ball) in free {
+            ball.track.track = self.next_number;
+            self.next_number += 1;
+            self.finished.push(ball);
+        }
+    }
+}
+
+/// Whether a path may be the rest of an ended one: it begins near its end and goes the same way as fast.
+fn goes_on(ended: &[Point], path: &[Point]) -> bool {
+    let tail = ended.get(ended.len().saturating_sub(YOUNG.0)..).unwrap_or(&[]);
+    let (Some((a0, a1)), Some((b0, b1))) = (tail.first().zip(tail.last()), path.first().zip(path.last()))
+    else {
+        return false;
+    };
+    let gap = b0.t - a1.t;
+    if path.len() < YOUNG.0 || gap < -REST_OVERLAP_FRAMES || gap > REST_GAP_FRAMES || b1.t <= a1.t {
+        return false;
+    }
+    let velocity = |from: &Point, to: &Point| (to.position() - from.position()) / (to.t - from.t).max(1.0);
+    let (va, vb) = (velocity(a0, a1), velocity(b0, b1));
+    (va - vb).norm() < REST_SPEED_SHARE * va.norm()
+        && (a1.position() + va * gap - b0.position()).norm() < 2.0 * va.norm() + REST_OFF_PX
 }
 
 /// Whether two paths of different detections went side by side for most of the shorter one.
