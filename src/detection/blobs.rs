@@ -42,6 +42,22 @@ impl Images<'_> {
         if c >= a.max(b) { size } else { -size }
     }
 
+    /// Sum and largest size of the change of `length` pixels of a row.
+    fn change_of_run(&self, begin: usize, length: usize) -> (u32, u8) {
+        let run = begin..begin + length;
+        let (Some(c), Some(a), Some(b)) = (
+            self.current.get(run.clone()),
+            self.one.get(run.clone()),
+            self.other.get(run),
+        ) else {
+            return (0, 0);
+        };
+        c.iter().zip(a).zip(b).fold((0, 0), |(sum, peak), ((c, a), b)| {
+            let size = kernel::change(*c, *a, *b);
+            (sum + u32::from(size), peak.max(size))
+        })
+    }
+
     /// The pixels of a square around a place, within the image.
     pub fn around(
         &self,
@@ -206,20 +222,9 @@ impl BlobFinder {
             let left = column * TILE_WIDTH_PX;
             let right = (left + TILE_WIDTH_PX).min(images.width_px);
             let mut masks = [0u64; TILE_HEIGHT_PX];
-            for (row, mask) in masks.iter_mut().enumerate() {
-                let (from, to) = (
-                    (top + row) * images.width_px + left,
-                    (top + row) * images.width_px + right,
-                );
-                if let (Some(c), Some(a), Some(b)) = (
-                    images.current.get(from..to),
-                    images.one.get(from..to),
-                    images.other.get(from..to),
-                ) {
-                    *mask = self.kernels.change_mask(c, a, b, low);
-                }
-            }
-            if masks.iter().any(|mask| *mask != 0) {
+            let pixels = (images.current, images.one, images.other);
+            let place = (top * images.width_px + left, images.width_px, right - left);
+            if self.kernels.tile_masks(pixels, place, low, &mut masks) {
                 self.columns.push(column);
                 self.masks.push(masks);
             }
@@ -327,11 +332,9 @@ impl BlobFinder {
             blob.top = blob.top.min(y);
             blob.bottom = blob.bottom.max(y);
             blob.area_px += last + 1 - begin;
-            for x in begin..=last {
-                let change = images.change(x, y);
-                blob.change_sum += i64::from(change.abs());
-                blob.peak = blob.peak.max(change.abs());
-            }
+            let (sum, peak) = images.change_of_run(y * images.width_px + begin, last + 1 - begin);
+            blob.change_sum += i64::from(sum);
+            blob.peak = blob.peak.max(i32::from(peak));
         }
     }
 }

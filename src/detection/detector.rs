@@ -240,15 +240,12 @@ impl Detector {
             .zip(previous.bytes().chunks(band_bytes));
         for (band, (current, before)) in bands.enumerate() {
             let thresholds = self.noise.band_thresholds(band);
-            self.kernels
-                .changed_tiles(current, before, self.width_px, thresholds, &mut self.tile_max);
-            for (column, (most, threshold)) in self
-                .tile_max
-                .iter()
-                .zip(self.noise.band_thresholds(band))
-                .enumerate()
-            {
-                if *most > *threshold {
+            let any =
+                self.kernels
+                    .changed_tiles(current, before, self.width_px, thresholds, &mut self.tile_max);
+            if any {
+                let tiles = self.tile_max.iter().zip(thresholds).enumerate();
+                for (column, _) in tiles.filter(|(_, (most, threshold))| most > threshold) {
                     changed.set(band, column);
                 }
             }

@@ -110,10 +110,14 @@ dispatched!(
     change_mask(current: &[u8], before: &[u8], after: &[u8], threshold: u8) -> u64
 );
 dispatched!(
-    /// See [`kernel::widen_range`].
-    widen_range(row: &[u8], bright: &mut [u8], dark: &mut [u8])
+    /// See [`kernel::range_of_rows`].
+    range_of_rows(images: (&[u8], &[u8]), place: (usize, usize, usize), bright: &mut [u8], dark: &mut [u8]) -> bool
 );
 dispatched!(
     /// See [`kernel::beyond`].
-    beyond(current: &[u8], bright: &mut [u8], dark: &mut [u8], reach: usize, change: &mut [u8])
+    beyond(current: &[u8], bright: &mut [u8], dark: &mut [u8], reach: usize, change: &mut [u8]) -> u8
+);
+dispatched!(
+    /// See [`kernel::tile_masks`].
+    tile_masks(images: (&[u8], &[u8], &[u8]), place: (usize, usize, usize), threshold: u8, masks: &mut [u64]) -> bool
 );

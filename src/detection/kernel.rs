@@ -40,10 +40,9 @@ pub fn changed_tiles(
     let mut any = false;
     for (c_row, p_row) in current.chunks(width).zip(previous.chunks(width)) {
         let segments = c_row.chunks(SEGMENT_PX).zip(p_row.chunks(SEGMENT_PX));
-        for ((c, p), (limits, most)) in segments.zip(thresholds.chunks(TILES).zip(tile_max.chunks_mut(TILES)))
-        {
-            let lowest = limits.iter().fold(u8::MAX, |low, t| low.min(*t));
-            if segment_change(c, p) <= lowest {
+        let limits = lowest.iter().copied().chain(std::iter::repeat(0));
+        for ((c, p), (lowest, most)) in segments.zip(limits.zip(tile_max.chunks_mut(TILES))) {
+            if !changes_more(c, p, lowest) {
                 continue;
             }
             any = true;
@@ -56,44 +55,23 @@ pub fn changed_tiles(
     any
 }
 
-/// Largest |current − previous| of a piece of a row.
+/// Whether |current − previous| exceeds a limit anywhere in a piece of a row.
 #[inline(always)]
-fn segment_change(current: &[u8], previous: &[u8]) -> u8 {
-    let mut lanes = [0u8; LANES];
+fn changes_more(current: &[u8], previous: &[u8], limit: u8) -> bool {
+    let mut over = [0u8; LANES];
     if let (Ok(current), Ok(previous)) = (
         <&[u8; SEGMENT_PX]>::try_from(current),
         <&[u8; SEGMENT_PX]>::try_from(previous),
     ) {
         for (c, p) in current.chunks_exact(LANES).zip(previous.chunks_exact(LANES)) {
-            for ((most, c), p) in lanes.iter_mut().zip(c).zip(p) {
-                *most = (*most).max(c.abs_diff(*p));
+            for ((over, c), p) in over.iter_mut().zip(c).zip(p) {
+                *over = (*over).max(c.abs_diff(*p));
             }
         }
-        return fold_lanes(lanes);
+        // No sideways steps: what is left over the limit shows in any lane.
+        return over.iter().fold(0, |any, most| any | most.saturating_sub(limit)) != 0;
     }
-    let (mut c_lanes, mut p_lanes) = (current.chunks_exact(LANES), previous.chunks_exact(LANES));
-    for (c, p) in c_lanes.by_ref().zip(p_lanes.by_ref()) {
-        for ((most, c), p) in lanes.iter_mut().zip(c).zip(p) {
-            *most = (*most).max(c.abs_diff(*p));
-        }
-    }
-    for ((most, c), p) in lanes.iter_mut().zip(c_lanes.remainder()).zip(p_lanes.remainder()) {
-        *most = (*most).max(c.abs_diff(*p));
-    }
-    fold_lanes(lanes)
-}
-
-/// The largest lane.
-#[inline(always)]
-fn fold_lanes(mut lanes: [u8; LANES]) -> u8 {
-    let mut width = LANES / 2;
-    while width > 0 {
-        for i in 0..width {
-            lanes[i] = lanes[i].max(lanes[i + width]);
-        }
-        width /= 2;
-    }
-    lanes[0]
+    current.iter().zip(previous).any(|(c, p)| c.abs_diff(*p) > limit)
 }
 
 /// Sum of min(|current − previous|, clip).
@@ -137,23 +115,87 @@ pub fn change_mask(current: &[u8], before: &[u8], after: &[u8], threshold: u8) -
     mask
 }
 
-/// Widens the range of levels per column by a row: `bright` and `dark` have the row's length.
+/// The masks of [`change_mask`] for the rows of one tile: `masks.len()` rows from `begin` on, `stride` apart, `width`
+/// pixels each (up to 64). `false`: all zero. Rows that an image lacks are zero.
 #[inline(always)]
-pub fn widen_range(row: &[u8], bright: &mut [u8], dark: &mut [u8]) {
-    for ((level, bright), dark) in row.iter().zip(bright).zip(dark) {
-        *bright = (*bright).max(*level);
-        *dark = (*dark).min(*level);
+pub fn tile_masks(
+    (current, one, other): (&[u8], &[u8], &[u8]),
+    (begin, stride, width): (usize, usize, usize),
+    threshold: u8,
+    masks: &mut [u64],
+) -> bool {
+    let mut any = 0;
+    for (row, mask) in masks.iter_mut().enumerate() {
+        let piece = begin + row * stride..begin + row * stride + width;
+        let (Some(c), Some(a), Some(b)) = (
+            current.get(piece.clone()),
+            one.get(piece.clone()),
+            other.get(piece),
+        ) else {
+            *mask = 0;
+            continue;
+        };
+        *mask = match (
+            <&[u8; TILE_WIDTH_PX]>::try_from(c),
+            <&[u8; TILE_WIDTH_PX]>::try_from(a),
+            <&[u8; TILE_WIDTH_PX]>::try_from(b),
+        ) {
+            (Ok(c), Ok(a), Ok(b)) if !changes_beyond(c, a, b, threshold) => 0,
+            _ => change_mask(c, a, b, threshold),
+        };
+        any |= *mask;
     }
+    any != 0
+}
+
+/// Whether any pixel of a row of a tile changes by more than the threshold.
+#[inline(always)]
+fn changes_beyond(
+    c: &[u8; TILE_WIDTH_PX],
+    a: &[u8; TILE_WIDTH_PX],
+    b: &[u8; TILE_WIDTH_PX],
+    threshold: u8,
+) -> bool {
+    let mut over = [0u8; TILE_WIDTH_PX];
+    for (((over, c), a), b) in over.iter_mut().zip(c).zip(a).zip(b) {
+        *over = change(*c, *a, *b).saturating_sub(threshold);
+    }
+    over.iter().fold(0, |any, over| any | over) != 0
+}
+
+/// The range of levels per column over some rows of two images: `rows` rows from `begin` on, `stride` apart.
+/// `bright` and `dark` have the length of a row piece. `false` where an image ends before.
+#[inline(always)]
+pub fn range_of_rows(
+    (one, other): (&[u8], &[u8]),
+    (begin, stride, rows): (usize, usize, usize),
+    bright: &mut [u8],
+    dark: &mut [u8],
+) -> bool {
+    let length = bright.len().min(dark.len());
+    bright.fill(0);
+    dark.fill(u8::MAX);
+    for row in 0..rows {
+        let from = begin + row * stride;
+        let (Some(a), Some(b)) = (one.get(from..from + length), other.get(from..from + length)) else {
+            return false;
+        };
+        for ((bright, dark), (a, b)) in bright.iter_mut().zip(dark.iter_mut()).zip(a.iter().zip(b)) {
+            *bright = (*bright).max(*a).max(*b);
+            *dark = (*dark).min(*a).min(*b);
+        }
+    }
+    true
 }
 
 /// How far each pixel is outside the range of levels of the columns within `reach` of it; 0 for pixels nearer than
-/// that to an end. `bright` and `dark` are used up.
+/// that to an end. Gives the largest. `bright` and `dark` are used up.
 #[inline(always)]
-pub fn beyond(current: &[u8], bright: &mut [u8], dark: &mut [u8], reach: usize, change: &mut [u8]) {
+pub fn beyond(current: &[u8], bright: &mut [u8], dark: &mut [u8], reach: usize, change: &mut [u8]) -> u8 {
     let length = current.len();
     change.fill(0);
     if length <= 2 * reach || bright.len() != length || dark.len() != length || change.len() != length {
-        return;
+        return 0;
     }
     // Each step widens by one column: then each place holds the range of 2·reach + 1 columns from it on.
     for _ in 0..2 * reach {
@@ -167,6 +209,7 @@ pub fn beyond(current: &[u8], bright: &mut [u8], dark: &mut [u8], reach: usize, 
     for ((c, change), (bright, dark)) in current[inner.clone()].iter().zip(&mut change[inner]).zip(ranges) {
         *change = c.saturating_sub(*bright).max(dark.saturating_sub(*c));
     }
+    change.iter().fold(0, |most, change| most.max(*change))
 }
 
 /// Change of one pixel against both references: the smaller of the two when they agree in sign, else 0.
@@ -195,12 +238,19 @@ mod tests {
                 let mut tiles = vec![7; width.div_ceil(32)];
                 kernels.changed_tiles(c, a, width, &vec![threshold; width.div_ceil(32)], &mut tiles);
                 let columns: Vec<bool> = tiles.iter().map(|most| *most > threshold).collect();
+                let mut rows = [0; 8];
+                kernels.tile_masks((c, a, b), (0, width, 32), threshold, &mut rows);
+                let first: Vec<u64> = (0..8)
+                    .map(|y| y * width..y * width + 32)
+                    .map(|row| kernels.change_mask(&c[row.clone()], &a[row.clone()], &b[row], threshold))
+                    .collect();
+                assert_eq!(first, rows);
                 let masks: Vec<u64> = c.chunks(32).zip(a.chunks(32)).zip(b.chunks(32))
                     .map(|((c, a), b)| kernels.change_mask(c, a, b, threshold)).collect();
-                let (mut bright, mut dark, mut beyond) = (a.to_vec(), b.to_vec(), vec![0; size]);
-                kernels.widen_range(b, &mut bright, &mut dark);
-                kernels.widen_range(a, &mut bright, &mut dark);
-                kernels.beyond(c, &mut bright, &mut dark, 3, &mut beyond);
+                let (mut bright, mut dark, mut beyond) = (vec![0; size], vec![0; size], vec![0; size]);
+                kernels.range_of_rows((a, b), (0, 1, 1), &mut bright, &mut dark);
+                let most = kernels.beyond(c, &mut bright, &mut dark, 3, &mut beyond);
+                assert_eq!(Some(&most), beyond.iter().max());
                 (columns, tiles, masks, kernels.clipped_change_sum(c, a, clip), kernels.read_both(c, a), beyond)
             };
             let portable = run(Isa::Portable);

@@ -11,7 +11,9 @@ use super::centroid::{Moments, Sums};
 use super::dispatch::Kernels;
 
 /// A spot within a blob is a ball's from this many pixels.
-const SPOT_AREA_MIN_PX: usize = 4;
+const SPOT_AREA_MIN_PX: usize = 3;
+/// Of a large blob every second row is read: a ball has several.
+const ROW_STEP: usize = 2;
 /// Spots answered for one blob, the strongest.
 const SPOTS_MAX: usize = 6;
 /// Spots tracked while a blob is read; a pattern that yields more is no player.
@@ -21,7 +23,7 @@ const SPOT_GAP_PX: usize = 2;
 /// A wider or higher spot is no ball.
 const SPOT_SIDE_MAX_PX: usize = 40;
 /// Rows of a blob that are read: a higher one is not searched below that.
-const ROWS_MAX: usize = 400;
+const ROWS_MAX: usize = 200;
 
 /// A spot while it is gathered.
 struct Spot {
@@ -89,9 +91,11 @@ impl MoverSearch {
         self.spots.clear();
         let left = blob.left.saturating_sub(reach_px + 1);
         let right = (blob.right + reach_px + 2).min(near.width_px);
-        for y in (blob.top..=blob.bottom).take(ROWS_MAX) {
-            if self.read_row(near, y, left..right, reach_px) {
-                self.take_row(y, left..right, threshold);
+        for y in (blob.top..=blob.bottom).step_by(ROW_STEP).take(ROWS_MAX) {
+            if self.read_row(near, y, left..right, reach_px) > threshold
+                && !self.take_row(y, left..right, threshold)
+            {
+                break;
             }
         }
         let sigma = blob.difference_sigma;
@@ -119,44 +123,40 @@ impl MoverSearch {
         })
     }
 
-    /// The change of one row beyond its neighbourhood; `false` where the image has no such row.
+    /// The change of one row beyond its neighbourhood; gives the largest, 0 where the image has no such row.
     fn read_row(
         &mut self,
         near: &Images<'_>,
         y: usize,
         columns: std::ops::Range<usize>,
         reach_px: usize,
-    ) -> bool {
+    ) -> u8 {
         let width = columns.len();
-        let row = |image: &'_ [u8], y: usize| -> Option<std::ops::Range<usize>> {
-            let begin = y * near.width_px;
-            (begin + columns.end <= image.len()).then(|| begin + columns.start..begin + columns.end)
-        };
         let (Some(bright), Some(dark), Some(change)) = (
             self.brightest.get_mut(..width),
             self.darkest.get_mut(..width),
             self.change.get_mut(..width),
         ) else {
-            return false;
+            return 0;
         };
-        bright.fill(0);
-        dark.fill(u8::MAX);
-        for source in [near.one, near.other] {
-            for y in y.saturating_sub(reach_px)..=(y + reach_px).min(near.height_px.saturating_sub(1)) {
-                if let Some(pixels) = row(source, y).and_then(|range| source.get(range)) {
-                    self.kernels.widen_range(pixels, bright, dark);
-                }
-            }
+        let top = y.saturating_sub(reach_px);
+        let rows = (y + reach_px + 1).min(near.height_px) - top;
+        let place = (top * near.width_px + columns.start, near.width_px, rows);
+        if !self
+            .kernels
+            .range_of_rows((near.one, near.other), place, bright, dark)
+        {
+            return 0;
         }
-        let Some(pixels) = row(near.current, y).and_then(|range| near.current.get(range)) else {
-            return false;
+        let begin = y * near.width_px + columns.start;
+        let Some(pixels) = near.current.get(begin..begin + width) else {
+            return 0;
         };
-        self.kernels.beyond(pixels, bright, dark, reach_px, change);
-        true
+        self.kernels.beyond(pixels, bright, dark, reach_px, change)
     }
 
-    /// Adds a row's changed pixels to the spots they touch.
-    fn take_row(&mut self, y: usize, columns: std::ops::Range<usize>, threshold: u8) {
+    /// Adds a row's changed pixels to the spots they touch; `false` where there are too many spots.
+    fn take_row(&mut self, y: usize, columns: std::ops::Range<usize>, threshold: u8) -> bool {
         let (left, width) = (columns.start, columns.len());
         for (i, change) in self.change.iter().enumerate().take(width) {
             if *change <= threshold {
@@ -176,8 +176,9 @@ impl MoverSearch {
                 spot.take(x, y, change);
                 self.spots.push(spot);
             } else {
-                return;
+                return false;
             }
         }
+        true
     }
 }

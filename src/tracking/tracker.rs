@@ -332,7 +332,7 @@ fn goes_on(ended: &[Point], path: &[Point]) -> bool {
         return false;
     };
     let gap = b0.t - a1.t;
-    if path.len() < YOUNG.0 || gap < -REST_OVERLAP_FRAMES || gap > REST_GAP_FRAMES || b1.t <= a1.t {
+    if path.len() < YOUNG.0 || !(-REST_OVERLAP_FRAMES..=REST_GAP_FRAMES).contains(&gap) || b1.t <= a1.t {
         return false;
     }
     let velocity = |from: &Point, to: &Point| (to.position() - from.position()) / (to.t - from.t).max(1.0);
