@@ -2,11 +2,13 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3};
 
-use super::grow::{AGREES_PX, Grown, Phase, Session};
-use super::problem::{CameraState, Distance, Problem, State, View};
+use super::agreement::AGREES_PX;
+use super::grow::{Grown, Phase, Session};
+use super::problem::{Distance, Problem, State};
 use super::solver::{Held, fit_spline, minimise, redundancy, update_scales};
 use super::spline::{ORDER, Spline};
 use super::support::Support;
+use super::view::{CameraState, View};
 use crate::calibration::CalibrationError;
 use crate::geometry::Pose;
 
@@ -17,7 +19,7 @@ pub(super) struct Solution {
     pub views: Vec<View>,
     pub support: Support,
     /// Unknowns of the border, in the order of the covariance.
-    pub columns: Vec<super::problem::Column>,
+    pub columns: Vec<super::view::Column>,
     pub covariance: DMatrix<f64>,
     pub condition: f64,
     /// Factor by which lasting errors widen the covariance.

@@ -7,6 +7,7 @@
 //! paths ─► pairs (offset search × five-point) ─► seed ─► camera by camera ─► all together, finer ─► answer
 //! ```
 
+mod agreement;
 mod arrow;
 mod finish;
 mod grow;
@@ -22,6 +23,7 @@ mod support;
 mod synthetic;
 #[cfg(test)]
 mod tests;
+mod view;
 
 use nalgebra::Vector2;
 
@@ -30,7 +32,8 @@ use crate::scene::{Calibration, CameraId, Rig, RollingShutter, Track};
 use finish::finish;
 use grow::{Grown, Session};
 use path::Path;
-use problem::{Distance, Sighting, View};
+use problem::Distance;
+use view::{Sighting, View};
 
 /// What the estimator of a free motion takes for granted.
 #[derive(Debug, Clone)]

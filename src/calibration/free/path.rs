@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix3, Vector2, Vector3};
 
-use super::problem::View;
+use super::view::View;
 use crate::geometry::{Normalized, Pixel};
 
 /// Longest gap that is bridged, seconds.
@@ -174,8 +174,8 @@ fn parabola(
 
 #[cfg(test)]
 mod tests {
-    use super::super::problem::Sighting;
     use super::super::synthetic::LENS;
+    use super::super::view::Sighting;
     use super::*;
 
     #[test]

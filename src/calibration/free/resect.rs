@@ -5,9 +5,9 @@ use rand::SeedableRng;
 use rand::seq::index::sample;
 use rand_pcg::Pcg64Mcg;
 
-use super::problem::{CameraState, Sighting, View};
 use super::spline::Spline;
 use super::support::inside;
+use super::view::{CameraState, Sighting, View};
 use crate::calibration::CalibrationError;
 use crate::geometry::{Normalized, Pixel, Pose};
 use crate::scene::ParameterKind as K;

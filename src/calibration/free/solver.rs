@@ -3,8 +3,9 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::arrow::{Banded, Factor, Normal};
-use super::problem::{CameraState, JERK, Problem, State, View};
+use super::problem::{JERK, Problem, State};
 use super::spline::{ORDER, Spline};
+use super::view::{CameraState, View};
 
 /// Minimises the cost; returns it. Stops at a relative gain below `tolerance` or after `iterations`.
 pub(super) fn minimise(problem: &Problem, state: &mut State, iterations: usize, tolerance: f64) -> f64 {
@@ -215,7 +216,7 @@ pub(super) fn fit_spline(problem: &Problem, state: &mut State, depth: f64, round
 fn add_ray(
     normal: &mut Normal,
     (problem, view, camera): (&Problem, &View, &CameraState),
-    (spline, s): (&Spline, &super::problem::Sighting),
+    (spline, s): (&Spline, &super::view::Sighting),
     (round, depth): (usize, &mut f64),
 ) {
     let Ok(n) = camera
@@ -263,8 +264,9 @@ fn add_ray(
 
 #[cfg(test)]
 mod tests {
-    use super::super::problem::{Column, Distance};
+    use super::super::problem::Distance;
     use super::super::synthetic::{Scene, at_truth, problem};
+    use super::super::view::Column;
     use super::*;
     use crate::scene::ParameterKind as K;
 

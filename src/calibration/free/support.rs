@@ -1,6 +1,7 @@
 //! Which stretches of time the data support: at least two cameras see the thing.
 
-use super::problem::{State, View};
+use super::problem::State;
+use super::view::View;
 
 /// Longest time between two sightings of a camera over which it counts as seeing, seconds.
 const SEEING_S: f64 = 0.5;

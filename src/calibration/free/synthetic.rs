@@ -5,8 +5,9 @@ use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, Normal as Gauss};
 use rand_pcg::Pcg64;
 
-use super::problem::{CameraState, Priors, Problem, Sighting, State, View};
+use super::problem::{Problem, State};
 use super::spline::Spline;
+use super::view::{CameraState, Priors, Sighting, View};
 use crate::geometry::{Intrinsics, Pixel, Pose};
 use crate::scene::{
     CameraId, CameraSetup, FieldPreset, Motion, Rig, RollingShutter, Site, Track, TrackPoint,
