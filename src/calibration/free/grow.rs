@@ -25,6 +25,8 @@ pub(super) struct Session<'a> {
     pub shutters: Vec<RollingShutter>,
     pub focal_sigma: Vec<f64>,
     pub options: &'a FreeOptions,
+    /// How far the rough offsets may be off, seconds.
+    pub range_s: f64,
 }
 
 /// A pair of cameras with one of its guesses.
@@ -67,7 +69,7 @@ impl Session<'_> {
         for first in 0..self.views.len() {
             for second in first + 1..self.views.len() {
                 let options = PairSearch {
-                    range_s: self.options.shift_range_s,
+                    range_s: self.range_s,
                     step_s: self.options.shift_step_s,
                     samples: self.options.five_point_samples,
                     points: 150,
@@ -159,9 +161,13 @@ impl Session<'_> {
 
     /// Grows a rig from one edge.
     pub fn grow(&self, seed: &Edge, edges: &[Edge]) -> Result<Option<Grown>, CalibrationError> {
-        let Some(mut grown) = self.seeded(seed) else {
-            return Ok(None);
-        };
+        self.seeded(seed)
+            .map(|grown| self.extended(grown, edges))
+            .transpose()
+    }
+
+    /// Adds cameras for as long as one fits.
+    pub fn extended(&self, mut grown: Grown, edges: &[Edge]) -> Result<Grown, CalibrationError> {
         while let Some((camera, fitted)) = self.next_camera(&grown, edges)? {
             let mut candidate = grown.state.clone();
             let mut joined = fitted.camera;
@@ -173,7 +179,7 @@ impl Session<'_> {
             };
             grown = next;
         }
-        Ok(Some(grown))
+        Ok(grown)
     }
 
     /// Two cameras, a spline through their rays, and a first joint refinement.
@@ -301,7 +307,7 @@ impl Session<'_> {
             }
             if !fits.iter().any(good) {
                 let rough = self.unposed(camera, self.rough_delay(grown, camera));
-                let range = (self.options.shift_range_s, self.options.shift_step_s);
+                let range = (self.range_s, self.options.shift_step_s);
                 for start in searched_starts(&self.views[camera], known, &rough, range)? {
                     fits.extend(fit(&self.views[camera], known, &start));
                 }

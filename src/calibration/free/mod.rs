@@ -30,7 +30,7 @@ use nalgebra::Vector2;
 use super::CalibrationError;
 use crate::scene::{Calibration, CameraId, Rig, RollingShutter, Track};
 use finish::finish;
-use grow::{Grown, Session};
+use grow::{Edge, Grown, Session};
 use path::Path;
 use problem::Distance;
 use view::{Sighting, View};
@@ -40,6 +40,8 @@ use view::{Sighting, View};
 pub struct FreeOptions {
     /// Offsets are searched this far about the rough ones, seconds.
     pub shift_range_s: f64,
+    /// The same for cameras that do not fit within that, seconds.
+    pub shift_range_widest_s: f64,
     /// Step of that search, seconds.
     pub shift_step_s: f64,
     /// Five-point samples at every offset.
@@ -77,6 +79,7 @@ impl Default for FreeOptions {
     fn default() -> Self {
         Self {
             shift_range_s: 2.0,
+            shift_range_widest_s: 40.0,
             shift_step_s: 0.2,
             five_point_samples: 25,
             knot_s: None,
@@ -153,42 +156,15 @@ pub fn calibrate(
     options: &FreeOptions,
 ) -> Result<FreeOutcome, CalibrationError> {
     // 1. Sightings of every camera, and their smooth paths for the search.
-    let gathered = gather(rig, tracks, options)?;
-    let session = &gathered.session;
-    // 2. Relative pose and offset of every pair of cameras.
-    let edges = session.edges()?;
+    let mut gathered = gather(rig, tracks, options)?;
     let reference = gathered.reference;
-    if edges.is_empty() {
-        return Err(CalibrationError::NoCommonMotion {
+    // 2., 3. A rig from the rough offsets, and with the cameras that they do not place from anywhere near.
+    let mut grown =
+        grow_widely(&mut gathered.session, reference)?.ok_or_else(|| CalibrationError::NoCommonMotion {
             camera: rig.reference_camera().id.clone(),
             explained_share: 0.0,
-        });
-    }
-    // 3. Grow a rig from the best pair, from others where that leaves doubt.
-    let mut best: Option<Grown> = None;
-    for seed in edges.iter().take(SEEDS) {
-        let Some(grown) = session.grow(seed, &edges)? else {
-            continue;
-        };
-        let connected = grown.state.cameras[reference].is_some();
-        let sure = connected
-            && grown.state.cameras.iter().all(Option::is_some)
-            && grown.explained.least().is_some_and(|(_, share)| share > 0.7);
-        if connected
-            && best
-                .as_ref()
-                .is_none_or(|b| grown.explained.sightings > b.explained.sightings)
-        {
-            best = Some(grown);
-        }
-        if sure {
-            break;
-        }
-    }
-    let mut grown = best.ok_or_else(|| CalibrationError::NoCommonMotion {
-        camera: rig.reference_camera().id.clone(),
-        explained_share: 0.0,
-    })?;
+        })?;
+    let session = &gathered.session;
     // 4. Everything together, in the reference camera's world and clock; without the cameras that do not fit.
     loop {
         let solution = finish(session, &grown, (reference, &gathered.distances))?;
@@ -208,6 +184,54 @@ pub fn calibrate(
         }
         grown.state.cameras[worst] = None;
     }
+}
+
+/// Relative pose and offset of every pair of cameras, and a rig grown from them. Where the rough offsets lead
+/// nowhere, or leave cameras out, once more with offsets that may be as far off as a person errs.
+fn grow_widely(session: &mut Session, reference: usize) -> Result<Option<Grown>, CalibrationError> {
+    let edges = session.edges()?;
+    let near = best_grown(session, &edges, reference)?;
+    let whole = |g: &Grown| g.state.cameras.iter().all(Option::is_some);
+    if near.as_ref().is_some_and(whole) || session.range_s >= session.options.shift_range_widest_s {
+        return Ok(near);
+    }
+    session.range_s = session.options.shift_range_widest_s;
+    match near {
+        Some(grown) => session.extended(grown, &edges).map(Some),
+        None => {
+            let edges = session.edges()?;
+            best_grown(session, &edges, reference)
+        }
+    }
+}
+
+/// Grows a rig from the best pair, from others where that leaves doubt.
+fn best_grown(
+    session: &Session,
+    edges: &[Edge],
+    reference: usize,
+) -> Result<Option<Grown>, CalibrationError> {
+    let mut best: Option<Grown> = None;
+    for seed in edges.iter().take(SEEDS) {
+        let Some(grown) = session.grow(seed, edges)? else {
+            continue;
+        };
+        let connected = grown.state.cameras[reference].is_some();
+        let sure = connected
+            && grown.state.cameras.iter().all(Option::is_some)
+            && grown.explained.least().is_some_and(|(_, share)| share > 0.7);
+        if connected
+            && best
+                .as_ref()
+                .is_none_or(|b| grown.explained.sightings > b.explained.sightings)
+        {
+            best = Some(grown);
+        }
+        if sure {
+            break;
+        }
+    }
+    Ok(best)
 }
 
 /// What the stages work on, with the way back to the rig.
@@ -240,6 +264,7 @@ fn gather<'a>(
         shutters: vec![],
         focal_sigma: vec![],
         options,
+        range_s: options.shift_range_s,
     };
     let (mut in_rig, mut warnings) = (vec![], vec![]);
     for (index, setup) in rig.cameras.iter().enumerate() {
