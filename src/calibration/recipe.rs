@@ -4,6 +4,8 @@ use super::association::{AssociationOptions, associate};
 use super::initial::{InitialOptions, hypotheses};
 use super::joint::{self, Candidate, JointOptions, JointSolution, WrongTrack};
 use super::matching::{implausible, match_tracks};
+use super::metric::Motion;
+use super::self_calibration::make_pitches;
 use super::sweep::sweep;
 use super::{CalibrationError, InitialEstimate, PitchTracks};
 use crate::flight::sighting::CameraModel;
@@ -59,6 +61,10 @@ pub struct CalibrationOutcome {
 /// A start is finished too when its cost is within this factor of the best one's.
 const RIVAL_FACTOR: f64 = 1.2;
 
+/// Most new starts of a world without landmarks, and the gain in −2·ln of the density for which the next is made.
+const RESCALINGS: usize = 3;
+const SURPRISE_NOTICED: f64 = 1.0;
+
 /// A flight whose middle is less sure than this says nothing of a pitch, metres.
 const POSITION_SIGMA_MAX_M: f64 = 0.5;
 
@@ -84,6 +90,7 @@ pub fn calibrate(
         },
     };
     // 6. A camera whose delay stays open is left out where two others remain; else the rig is refused.
+    let solution = rescale(rig, &pitches, solution, options);
     let (solution, open) = leave_open_out(rig, &pitches, solution, options)?;
     check_scale(rig, &solution)?;
     // 7. Flights of the pitches that the calibration does not rest on.
@@ -249,6 +256,54 @@ fn rematch(
         Ok(again) => (regrouped, again),
         Err(_) => (pitches, solution),
     }
+}
+
+/// A world without landmarks once more from the scale and the up that make its own flights pitches: a start that
+/// was off by a quarter ends in a valley of its own, where lift stands for gravity. The likelier end stands.
+fn rescale(
+    rig: &Rig,
+    pitches: &[PitchTracks],
+    mut solution: JointSolution,
+    options: &CalibrationOptions,
+) -> JointSolution {
+    if solution.calibration.world != WorldFrame::ReferenceCamera {
+        return solution;
+    }
+    for _ in 0..RESCALINGS {
+        match rescaled(rig, pitches, &solution, options) {
+            Some(better) => solution = better,
+            None => break,
+        }
+    }
+    solution
+}
+
+/// One such start to its end; `None` where that is not the likelier one.
+fn rescaled(
+    rig: &Rig,
+    pitches: &[PitchTracks],
+    solution: &JointSolution,
+    options: &CalibrationOptions,
+) -> Option<JointSolution> {
+    let motions: Vec<Motion> = solution
+        .flights
+        .iter()
+        .map(|f| {
+            let middle_s = 0.5 * (f.observed_s.0 + f.observed_s.1);
+            Motion {
+                velocity: f.trajectory.velocity_mps(middle_s),
+                acceleration: f.trajectory.acceleration_mps2(middle_s),
+            }
+        })
+        .collect();
+    let mut start = start_of(rig, &solution.calibration);
+    if !make_pitches(rig, &motions, &mut start.poses) {
+        return None;
+    }
+    let candidate = joint::explore(rig, pitches, &start, &options.joint).ok()?;
+    let again = joint::finish(rig, pitches, candidate, &options.joint).ok()?;
+    let likelier = again.surprise + SURPRISE_NOTICED < solution.surprise;
+    (likelier && again.flights.len() >= solution.flights.len()).then_some(again)
 }
 
 /// Takes cameras with an open delay out, one by one; says which and why.

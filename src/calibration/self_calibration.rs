@@ -281,17 +281,9 @@ fn motions(evidence: &Evidence, state: &State) -> Vec<(Motion, Point3<f64>)> {
 /// camera. Returns the cost with the physics' penalty, what fixed the scale, and whether surveyed positions put
 /// it into the home-plate frame.
 pub(crate) fn make_metric(rig: &Rig, evidence: &Evidence, (cost, state): &mut Scored) -> (String, bool) {
-    let level: Vector3<f64> = state
-        .poses
-        .iter()
-        .flatten()
-        .map(|p| p.rotation.inverse() * Vector3::new(0.0, -1.0, 0.0))
-        .sum();
-    let measured = measured_scale(rig, state);
-    let air = Air {
-        gravity_mps2: rig.site.gravity_mps2,
-        density_kgpm3: rig.site.air_density_kgpm3,
-    };
+    let level = level(&state.poses);
+    let measured = measured_scale(rig, &state.poses);
+    let air = air(rig);
     let seen: Vec<Motion> = motions(evidence, state).into_iter().map(|m| m.0).collect();
     let Some(found) = upgrade(&seen, &level.normalize(), air, (measured.map(|m| m.0), None)) else {
         return (
@@ -315,6 +307,30 @@ pub(crate) fn make_metric(rig: &Rig, evidence: &Evidence, (cost, state): &mut Sc
     (what.to_owned(), surveyed)
 }
 
+/// Turns and scales a world around the reference camera so that these motions are pitches; whether it could.
+pub(crate) fn make_pitches(rig: &Rig, motions: &[Motion], poses: &mut [Option<Pose>]) -> bool {
+    let measured = measured_scale(rig, poses).map(|m| m.0);
+    let found = upgrade(motions, &level(poses).normalize(), air(rig), (measured, None));
+    if let Some(found) = &found {
+        upright(poses, rig.reference, found);
+    }
+    found.is_some()
+}
+
+/// Where up is for cameras that stand level on average.
+fn level(poses: &[Option<Pose>]) -> Vector3<f64> {
+    let own = poses.iter().flatten();
+    own.map(|p| p.rotation.inverse() * Vector3::new(0.0, -1.0, 0.0))
+        .sum()
+}
+
+fn air(rig: &Rig) -> Air {
+    Air {
+        gravity_mps2: rig.site.gravity_mps2,
+        density_kgpm3: rig.site.air_density_kgpm3,
+    }
+}
+
 /// Scale and pose of a reconstruction whose camera `anchor` has a landmark pose: the world's up is known, metres
 /// come from physics and from where pitches fly.
 pub(crate) fn make_metric_by_anchor(
@@ -328,13 +344,10 @@ pub(crate) fn make_metric_by_anchor(
     };
     let old_from_world = here.rotation.inverse() * known.rotation;
     let up = old_from_world * Vector3::z();
-    let air = Air {
-        gravity_mps2: rig.site.gravity_mps2,
-        density_kgpm3: rig.site.air_density_kgpm3,
-    };
+    let air = air(rig);
     let seen = motions(evidence, state);
     let moving: Vec<Motion> = seen.iter().map(|m| m.0).collect();
-    let measured = measured_scale(rig, state).map(|m| m.0);
+    let measured = measured_scale(rig, &state.poses).map(|m| m.0);
     let penalty = |log_scale: f64| -> f64 {
         let scale = log_scale.exp();
         let physics = upgrade(&moving, &up, air, (Some(scale), Some(up)));
@@ -364,10 +377,10 @@ pub(crate) fn make_metric_by_anchor(
 }
 
 /// Metres per unit from measured distances and surveyed positions between placed cameras.
-fn measured_scale(rig: &Rig, state: &State) -> Option<(f64, &'static str)> {
+fn measured_scale(rig: &Rig, poses: &[Option<Pose>]) -> Option<(f64, &'static str)> {
     let mut ratios: Vec<(f64, f64)> = Vec::new();
     let mut add = |a: usize, b: usize, distance_m: f64, sigma_m: f64| {
-        if let (Some(a), Some(b)) = (&state.poses[a], &state.poses[b]) {
+        if let (Some(a), Some(b)) = (&poses[a], &poses[b]) {
             let units = (a.centre_m() - b.centre_m()).norm();
             if units > 0.0 && distance_m > 0.0 {
                 ratios.push((distance_m / units, (distance_m / sigma_m.max(1e-4)).powi(2)));

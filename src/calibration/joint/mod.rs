@@ -89,6 +89,9 @@ pub struct JointSolution {
     pub flight_pitches: Vec<usize>,
     /// Tracks left out.
     pub wrong_tracks: Vec<WrongTrack>,
+    /// −2·ln of the posterior density at the solution, up to a constant of the points: tells valleys of one problem
+    /// apart.
+    pub surprise: f64,
     /// Robust cost per point kept or not, in squared sigmas at the noise the points claim: ranks hypotheses.
     pub cost: f64,
 }
@@ -143,17 +146,22 @@ pub fn explore(
     options: &JointOptions,
 ) -> Result<Candidate, CalibrationError> {
     let (problem, mut state) = JointProblem::new(rig, pitches, start, options)?;
-    let mut scale = noise::median_distance(&state).clamp(1.5, 500.0) * 2.0;
+    anneal(&problem, &mut state);
+    let loss = Loss::Cauchy { scale: 3.0 };
+    let cost = problem.cost(&state, loss) / noise::points(&state).max(1) as f64;
+    Ok(Candidate { problem, state, cost })
+}
+
+/// Descends with a loss that narrows from what the residuals are now.
+fn anneal(problem: &JointProblem, state: &mut JointState) {
+    let mut scale = noise::median_distance(state).clamp(1.5, 500.0) * 2.0;
     loop {
-        problem.descend(&mut state, Loss::Cauchy { scale }, 6);
+        problem.descend(state, Loss::Cauchy { scale }, 6);
         if scale <= 3.0 {
             break;
         }
         scale = (scale / 4.0).max(3.0);
     }
-    let loss = Loss::Cauchy { scale: 3.0 };
-    let cost = problem.cost(&state, loss) / noise::points(&state).max(1) as f64;
-    Ok(Candidate { problem, state, cost })
 }
 
 /// Takes a candidate to its maximum-likelihood end: noise from the residuals, points in or out, wrong tracks
@@ -194,6 +202,10 @@ pub fn finish(
     problem.terms.weigh(&state.cameras);
     free_wobbling(&problem, &mut state)?;
     settle(&problem, &mut state, options)?;
+    if stiffen(&problem, &mut state) {
+        anneal(&problem, &mut state);
+        settle(&problem, &mut state, options)?;
+    }
     free_wobbling(&problem, &mut state)?;
     if hold_steady_clocks(&mut problem, &mut state, options)? {
         settle(&problem, &mut state, options)?;
@@ -249,6 +261,25 @@ fn free_wobbling(problem: &JointProblem, state: &mut JointState) -> Result<(), C
             })?;
     }
     Ok(())
+}
+
+/// Takes the residual acceleration back where most flights were given some: not all pitches are knuckleballs,
+/// but all look so from cameras a little off, and flights so free hide a wrong scale. Says whether it did.
+fn stiffen(problem: &JointProblem, state: &mut JointState) -> bool {
+    let Some(&rigid) = problem.flight.acceleration_levels_mps2.first() else {
+        return false;
+    };
+    let freed = state
+        .flights
+        .iter()
+        .filter(|f| f.state.prior.acceleration_sigma_mps2 > rigid);
+    if 2 * freed.count() <= state.flights.len() {
+        return false;
+    }
+    for flight in &mut state.flights {
+        flight.state.prior.acceleration_sigma_mps2 = rigid;
+    }
+    true
 }
 
 /// Holds at zero the skew of each clock that shows none: the density of zero after the data over its density

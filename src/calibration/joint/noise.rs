@@ -32,6 +32,19 @@ pub(super) fn points(state: &JointState) -> usize {
     state.flights.iter().map(|f| f.sightings.len()).sum()
 }
 
+/// Sum over all points of the logarithm of their covariance's determinant.
+pub(super) fn log_determinants(state: &JointState) -> f64 {
+    let mut sum = 0.0;
+    for flight in &state.flights {
+        for s in &flight.sightings {
+            if let Ok(sight) = Sight::new(&state.cameras[s.camera], &s.point, &flight.state.trajectory) {
+                sum += sight.covariance_px2.determinant().max(1e-300).ln();
+            }
+        }
+    }
+    sum
+}
+
 /// Median over all points of the residual in sigmas.
 pub(super) fn median_distance(state: &JointState) -> f64 {
     let mut distances: Vec<f64> = Vec::with_capacity(points(state));

@@ -73,6 +73,7 @@ pub(super) fn publish(
         flight_pitches: state.flights.iter().map(|f| f.pitch).collect(),
         flights,
         wrong_tracks: Vec::new(),
+        surprise: at.cost + noise::log_determinants(state),
         cost: at.cost,
     })
 }
