@@ -32,7 +32,7 @@ const STREAK_SCALE_SIGMA: f64 = 0.03;
 /// The first look sees the lit part: the ball is larger by about this.
 const RADIUS_OVER_FIRST_LOOK: f64 = 1.3;
 /// What is left of light and blur in a centre, the same way for a whole track, pixels.
-const SYSTEMATIC_PX: f64 = 0.015;
+const SYSTEMATIC_PX: f64 = 0.03;
 /// A centre further than this from the path of its neighbours is sought again.
 const OFF_PATH_PX: f64 = 0.8;
 /// A frame this unlike the ball keeps its centroid.
