@@ -181,3 +181,78 @@ fn without_landmarks_the_ball_alone_places_the_cameras() {
         }
     }
 }
+
+/// Delay error (frames, at the middle of the session) and turn (degrees) of every camera, worst of the best hypothesis.
+fn worst_errors(s: &Simulated) -> (f64, f64) {
+    let pitches = group_pitches(&s.rig, &s.tracks);
+    let best = &hypotheses(&s.rig, &pitches, &InitialOptions::default()).unwrap()[0];
+    let (mut delay_frames, mut turn_deg) = (0f64, 0f64);
+    for (i, camera) in s.truth.cameras.iter().enumerate() {
+        let since_s = (best.skew_epoch_ns[i] - camera.skew_epoch_ns) as f64 / 1e9;
+        let truth = camera.capture_delay_s + 1e-6 * camera.clock_skew_ppm * since_s;
+        let delay = (best.capture_delay_s[i] - truth).abs() * camera.frame_rate_hz;
+        let turn = (best.poses[i].unwrap().rotation.inverse() * camera.camera_from_world.rotation).angle();
+        delay_frames = delay_frames.max(delay);
+        turn_deg = turn_deg.max(turn.to_degrees());
+    }
+    (delay_frames, turn_deg)
+}
+
+#[test]
+fn an_hour_of_skew_outliers_misses_and_jitter_do_not_lead_astray() {
+    let mut count = 0;
+    for (layout, seed) in [(Layout::TwoOpposite, 1), (Layout::Three, 2), (Layout::Three, 3)] {
+        let mut scenario = Scenario::stock(layout, &[1.3, -1.7], 8)
+            .with_seed(seed)
+            .with_detection(DetectionNoise {
+                miss_probability: 0.2,
+                outlier_probability: 0.1,
+                ..DetectionNoise::gaussian(0.3)
+            });
+        for (k, camera) in scenario.cameras.iter_mut().enumerate() {
+            camera.jitter_s = 0.02 / camera.frame_rate_hz;
+            camera.drop_probability = 0.05;
+            camera.repeat_stamp_probability = 0.02;
+            if k > 0 {
+                camera.clock_skew_ppm = 20.0;
+            }
+        }
+        for (k, pitch) in scenario.pitches.iter_mut().enumerate() {
+            pitch.start_s = Some(10.0 + 510.0 * k as f64);
+        }
+        let (delay_frames, turn_deg) = worst_errors(&simulate_tracks(&scenario).unwrap());
+        println!("{layout:?} seed {seed}: {delay_frames:.3} frame {turn_deg:.3}\u{b0}");
+        assert!(
+            delay_frames < 0.3 && turn_deg < 1.0,
+            "{layout:?}: {delay_frames} frame {turn_deg}"
+        );
+        count += 1;
+    }
+    assert_eq!(count, 3);
+}
+
+#[test]
+fn mixed_rates_and_one_camera_with_landmarks_are_enough() {
+    for (layout, seed) in [(Layout::TwoOpposite, 4), (Layout::Three, 5)] {
+        let mut scenario = Scenario::stock(layout, &[1.3, -1.7], 8)
+            .with_seed(seed)
+            .with_detection(DetectionNoise::gaussian(0.3));
+        scenario.cameras[1].frame_rate_hz = 119.88;
+        let mut s = simulate_tracks(&scenario).unwrap();
+        let (delay_frames, turn_deg) = worst_errors(&s);
+        println!("{layout:?} mixed rates: {delay_frames:.3} frame {turn_deg:.3}\u{b0}");
+        assert!(
+            delay_frames < 0.2 && turn_deg < 1.0,
+            "{layout:?}: {delay_frames} frame {turn_deg}"
+        );
+        for camera in &mut s.rig.cameras[1..] {
+            camera.landmarks.clear();
+        }
+        let (delay_frames, turn_deg) = worst_errors(&s);
+        println!("{layout:?} one camera with landmarks: {delay_frames:.3} frame {turn_deg:.3}\u{b0}");
+        assert!(
+            delay_frames < 0.3 && turn_deg < 3.0,
+            "{layout:?}: {delay_frames} frame {turn_deg}"
+        );
+    }
+}
