@@ -14,6 +14,7 @@ mod evaluate_trajectory;
 mod export;
 mod import;
 mod info;
+mod init;
 mod recover;
 mod replay;
 mod run;
@@ -59,6 +60,8 @@ pub enum Command {
     Import(import::ImportArgs),
     /// Replay a recorded session through the live pipeline: pitches, calibration, report.
     Replay(replay::ReplayArgs),
+    /// Write a first configuration from the cameras found.
+    Init(init::InitArgs),
     /// Show what is in a session, and what of it is broken.
     Info(info::InfoArgs),
     /// Make a killed or damaged session whole again.
@@ -80,6 +83,7 @@ impl Cli {
         match &self.command {
             Command::Cameras(args) => cameras::run(args),
             Command::Check(args) => check::run(args),
+            Command::Init(args) => init::run(args),
             Command::Run(args) => run::run(args),
             Command::Emulate(args) => emulate::run(args),
             Command::Evaluate(args) => evaluate::run(args),

@@ -10,7 +10,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
 use crate::capture::aravis::granted_socket_buffer;
-use crate::config::{DaemonConfig, load_daemon, load_rig};
+use crate::config::{DaemonConfig, RecordMode, load_daemon, load_rig};
 use crate::daemon::health::CameraState;
 use crate::daemon::pipeline::{self, Daemon};
 use crate::export::results::read_calibration;
@@ -52,9 +52,13 @@ pub fn run(args: &RunArgs) -> anyhow::Result<()> {
     supervise(args, &config, &daemon, &mut signals);
     notify(&[NotifyState::Stopping]);
     let health = daemon.health().to_vec();
+    let recorder = daemon.recorder().clone();
     let log = daemon.finish();
     for camera in &health {
         tell_line!("pitchd: {}", camera.line());
+    }
+    if config.record.mode != RecordMode::Off {
+        tell_line!("pitchd: {}", recorder.line());
     }
     tell_line!(
         "pitchd: {} pitches, {} lines not taken, latency p50 {} p99 {} ms",

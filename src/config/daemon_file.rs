@@ -37,6 +37,36 @@ pub struct CameraConnection {
     pub ptp: bool,
 }
 
+/// What is recorded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RecordMode {
+    /// Nothing.
+    #[default]
+    Off,
+    /// A clip of every pitch.
+    Clips,
+    /// Everything.
+    Continuous,
+}
+
+/// The recorder.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordConfig {
+    /// What is recorded.
+    pub mode: RecordMode,
+    /// Folder of the recordings.
+    pub folder: PathBuf,
+    /// Most memory of frames, all cameras together.
+    pub memory_bytes: usize,
+    /// The oldest recordings are removed beyond this.
+    pub quota_bytes: u64,
+    /// Seconds of a clip before the first sight of the ball.
+    pub before_s: f64,
+    /// Seconds after the last.
+    pub after_s: f64,
+}
+
 /// The daemon's file.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DaemonConfig {
@@ -54,6 +84,8 @@ pub struct DaemonConfig {
     pub window_pitches: usize,
     /// New pitches before the next calibration.
     pub recalibrate_every: usize,
+    /// What is recorded.
+    pub record: RecordConfig,
     /// Cameras, at least one, ids and addresses unique.
     pub cameras: Vec<CameraConnection>,
 }
@@ -67,6 +99,8 @@ struct DaemonFile {
     results: String,
     #[serde(default)]
     calibrate: CalibrateFile,
+    #[serde(default)]
+    record: RecordFile,
     #[serde(default)]
     camera: Vec<CameraFile>,
 }
@@ -89,6 +123,30 @@ impl Default for CalibrateFile {
             first_pitches: 4,
             window_pitches: 16,
             every_pitches: 8,
+        }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct RecordFile {
+    mode: RecordMode,
+    folder: String,
+    memory_mib: usize,
+    quota_gib: f64,
+    before_s: f64,
+    after_s: f64,
+}
+
+impl Default for RecordFile {
+    fn default() -> Self {
+        Self {
+            mode: RecordMode::Off,
+            folder: "recordings".to_owned(),
+            memory_mib: 2048,
+            quota_gib: 100.0,
+            before_s: 0.5,
+            after_s: 0.5,
         }
     }
 }
@@ -199,6 +257,14 @@ pub fn parse_daemon(path: &Path, text: &str) -> Result<DaemonConfig, ConfigError
         first_pitches: calibrate.first_pitches.max(1),
         window_pitches: calibrate.window_pitches.max(calibrate.first_pitches.max(1)),
         recalibrate_every: calibrate.every_pitches.max(1),
+        record: RecordConfig {
+            mode: file.record.mode,
+            folder: beside(&file.record.folder),
+            memory_bytes: file.record.memory_mib.clamp(16, 1 << 20) << 20,
+            quota_bytes: (file.record.quota_gib.max(0.0) * 1_073_741_824.0) as u64,
+            before_s: file.record.before_s.clamp(0.0, 60.0),
+            after_s: file.record.after_s.clamp(0.0, 60.0),
+        },
         cameras,
     })
 }
@@ -219,6 +285,20 @@ mod tests {
             (config.first_pitches, config.cameras[0].socket_buffer_bytes),
             (4, 32 << 20)
         );
+    }
+
+    #[test]
+    fn nothing_is_recorded_unless_asked_for() {
+        let path = Path::new("/etc/pitchd/pitchd.toml");
+        assert_eq!(parse_daemon(path, GOOD).unwrap().record.mode, RecordMode::Off);
+        let clips = format!("{GOOD}[record]\nmode = \"clips\"\nfolder = \"r\"\nmemory_mib = 64\n");
+        let record = parse_daemon(path, &clips).unwrap().record;
+        assert_eq!((record.mode, record.memory_bytes), (RecordMode::Clips, 64 << 20));
+        assert_eq!(record.folder, Path::new("/etc/pitchd/r"));
+        let error = parse_daemon(path, &clips.replace("clips", "clip"))
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("clips"), "{error}");
     }
 
     #[test]

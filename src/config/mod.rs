@@ -5,7 +5,7 @@ mod nearest;
 mod portable;
 mod rig_file;
 
-pub use daemon_file::{CameraConnection, DaemonConfig, load_daemon, parse_daemon};
+pub use daemon_file::{CameraConnection, DaemonConfig, RecordConfig, RecordMode, load_daemon, parse_daemon};
 pub use nearest::nearest;
 pub use portable::portable_rig;
 pub use rig_file::{load_rig, parse_rig};

@@ -9,6 +9,7 @@ use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 
 use super::batch::{BatchOptions, solve_tracks};
 use super::health::{CameraHealth, CameraState};
+use super::recorder::ClipTrigger;
 use super::watcher::SeenTrack;
 use crate::scene::{Calibration, CameraId, Pitch, Rig, Track, WorldFrame};
 use crate::time::{ArrivalTime, HostClock, SystemClock};
@@ -79,6 +80,8 @@ pub struct Assembler {
     pub health: Vec<Arc<CameraHealth>>,
     /// To the worker; holds one request.
     pub requests: Sender<CalibrationRequest>,
+    /// To the recorder.
+    pub clips: Option<Sender<ClipTrigger>>,
     /// To the publisher.
     pub publish: Sender<Published>,
     /// To the keeper of calibrations.
@@ -195,6 +198,7 @@ impl Assembler {
             tracing::info!(?track, "a ball that one camera alone has seen");
             return;
         }
+        self.ask_for_clip(&ball);
         self.solve(&mut ball, desk, Wait::Live);
         desk.window.push_back(ball);
         desk.since_calibration += 1;
@@ -202,6 +206,17 @@ impl Assembler {
             desk.window.pop_front();
         }
         self.ask(desk);
+    }
+
+    fn ask_for_clip(&self, ball: &Ball) {
+        let spans: Vec<_> = ball.tracks.iter().filter_map(|t| t.track.span()).collect();
+        let first = spans.iter().map(|s| s.0.nanos()).min();
+        let last = spans.iter().map(|s| s.1.nanos()).max();
+        if let (Some(clips), Some(first_ns), Some(last_ns)) = (&self.clips, first, last)
+            && clips.try_send(ClipTrigger { first_ns, last_ns }).is_err()
+        {
+            tracing::error!("a clip could not be asked for: the recorder is behind");
+        }
     }
 
     /// Solves a ball with the calibration in use, by the cameras whose clocks it still holds for.

@@ -1,5 +1,6 @@
 //! What every camera's threads tell about themselves: state and counters, written by one thread, read by anyone.
 
+use super::histogram::Histogram;
 use std::sync::atomic::{AtomicI64, AtomicU8, AtomicU64, Ordering};
 
 use crate::scene::CameraId;
@@ -62,8 +63,8 @@ pub struct CameraHealth {
     pub losses: AtomicU64,
     /// Stamp up to which every track has been handed on, nanoseconds.
     pub watched_until_ns: AtomicI64,
-    /// Latest frame: from arrival of its first packet to the end of detection, microseconds.
-    pub latency_us: AtomicU64,
+    /// Of every frame: from arrival of its first packet to the end of detection.
+    pub latency: Histogram,
 }
 
 impl CameraHealth {
@@ -82,7 +83,7 @@ impl CameraHealth {
             tracks: AtomicU64::new(0),
             losses: AtomicU64::new(0),
             watched_until_ns: AtomicI64::new(i64::MIN),
-            latency_us: AtomicU64::new(0),
+            latency: Histogram::default(),
         }
     }
     /// Where it stands.
@@ -98,7 +99,7 @@ impl CameraHealth {
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
         format!(
             "{} {:?}: {} frames, {} processed, {} missing ({} incomplete, {} without buffer), {} dropped before detection, \
-             {} refused, {} tracks, lost {} times",
+             {} refused, {} tracks, lost {} times, arrival to detected {}",
             self.camera,
             self.state(),
             get(&self.frames),
@@ -110,6 +111,7 @@ impl CameraHealth {
             get(&self.refused),
             get(&self.tracks),
             get(&self.losses),
+            self.latency.in_words(),
         )
     }
 }

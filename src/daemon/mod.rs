@@ -2,9 +2,12 @@
 
 pub mod assemble;
 pub mod batch;
+pub mod clip_disk;
 pub mod health;
+pub mod histogram;
 pub mod pipeline;
 pub mod publish;
+pub mod recorder;
 pub mod supervise;
 pub mod watch;
 pub mod watcher;

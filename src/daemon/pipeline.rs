@@ -7,6 +7,8 @@
 //!                                   (3)  (4)            └─► pitches.jsonl, calibration.json, tracks/
 //!                                    ▼    │
 //!                                   calibrate
+//!
+//! cap-<id> ─(8)─► record ─(9)─► disk ─► recordings/        assemble ─(10)─► record
 //! ```
 //!
 //! | thread | takes | gives | queue | when that is full |
@@ -18,6 +20,10 @@
 //! | | | calibrations | (7) 8 | logged as an error; the calibration is used all the same |
 //! | `calibrate` | requests | answers | (4) 1 answer | waits |
 //! | `publish` | pitches | file, lines | (6) 64 lines | the line is dropped, counted |
+//! | `cap-<id>` | | frames, the same memory | (8) 64 frames | the frame is not recorded, counted |
+//! | `record` | (8), (10) | clips | (9) 4 clips, or 64 frames of a continuous recording | the clip or frame is lost, counted |
+//! | `assemble` | | balls to cut out | (10) 16 | the clip is lost, logged as an error |
+//! | `disk` | (9) | session folders | – | blocks alone |
 //! | `print` | lines | standard output | – | blocks alone |
 //!
 //! Stopping is closing: capture threads stop, each closes its queue, and the end travels downstream in the order
@@ -30,12 +36,14 @@ use std::thread::JoinHandle;
 use crossbeam_channel::{Sender, bounded};
 
 use super::assemble::{self, Assembler, CalibrationPlan};
+use super::clip_disk::ClipDisk;
 use super::health::CameraHealth;
 use super::publish::{self, PublishLog};
+use super::recorder::{ClipTrigger, RecordedLive, Recorder, RecorderHealth};
 use super::supervise::Supervisor;
 use super::watcher::{self, SeenTrack};
 use crate::capture::aravis::{CameraAddress, LiveOptions, PacketPath, Ptp};
-use crate::config::{CameraConnection, DaemonConfig};
+use crate::config::{CameraConnection, DaemonConfig, RecordMode};
 use crate::eye::EyeConfig;
 use crate::scene::{Calibration, Rig};
 
@@ -66,6 +74,7 @@ pub enum DaemonError {
 pub struct Daemon {
     stop: Arc<AtomicBool>,
     health: Vec<Arc<CameraHealth>>,
+    recorder: Arc<RecorderHealth>,
     threads: Vec<JoinHandle<()>>,
     publisher: JoinHandle<PublishLog>,
 }
@@ -89,6 +98,8 @@ pub fn start(
     let (lines_in, lines) = bounded::<String>(64);
 
     let rig = with_stamps_roughly_alike(rig);
+    let recorder = Arc::new(RecorderHealth::default());
+    let record = start_recorder(config, &recorder, &mut threads)?;
     let mut health = Vec::new();
     let mut captures = Vec::new();
     for connection in &config.cameras {
@@ -99,6 +110,9 @@ pub fn start(
         let supervisor = Supervisor {
             options,
             frames: frames_in,
+            record: record
+                .as_ref()
+                .map(|(frames, _)| (frames.clone(), recorder.clone())),
             health: own.clone(),
             stop: stop.clone(),
         };
@@ -126,6 +140,7 @@ pub fn start(
         },
         health: health.clone(),
         requests: requests_in,
+        clips: record.map(|(_, clips)| clips),
         publish: pitches_in,
         versions: versions_in,
     };
@@ -147,6 +162,7 @@ pub fn start(
     Ok(Daemon {
         stop,
         health,
+        recorder,
         threads,
         publisher,
     })
@@ -156,6 +172,11 @@ impl Daemon {
     /// Health of every camera.
     pub fn health(&self) -> &[Arc<CameraHealth>] {
         &self.health
+    }
+
+    /// What has been recorded.
+    pub fn recorder(&self) -> &Arc<RecorderHealth> {
+        &self.recorder
     }
 
     /// Asks every camera to stop; what they have sent is finished.
@@ -177,6 +198,44 @@ impl Daemon {
             }
         }
         log
+    }
+}
+
+type ToRecorder = (Sender<RecordedLive>, Sender<ClipTrigger>);
+
+/// The recorder's two threads, if anything is to be recorded.
+fn start_recorder(
+    config: &DaemonConfig,
+    health: &Arc<RecorderHealth>,
+    threads: &mut Vec<JoinHandle<()>>,
+) -> Result<Option<ToRecorder>, DaemonError> {
+    if config.record.mode == RecordMode::Off {
+        return Ok(None);
+    }
+    let (frames_in, frames) = bounded(64);
+    let (clips_in, clips) = bounded(16);
+    let (jobs_in, jobs) = bounded(match config.record.mode {
+        RecordMode::Continuous => 64,
+        _ => 4,
+    });
+    let cameras = config.cameras.iter().map(|c| c.id.clone()).collect();
+    let recorder = Recorder::new(config.record.clone(), cameras, jobs_in, health.clone());
+    let disk = ClipDisk {
+        config: config.record.clone(),
+        rig_toml: std::fs::read_to_string(&config.rig).unwrap_or_default(),
+        calibration: config.results.join("calibration.json"),
+        health: health.clone(),
+    };
+    threads.push(named("record".into(), move || recorder.run(&frames, &clips))?);
+    threads.push(named("disk".into(), move || disk.run(&jobs))?);
+    Ok(Some((frames_in, clips_in)))
+}
+
+/// Frames of a camera that the recorder may hold at once: its memory comes on top of the pool.
+fn frames_recorded(config: &DaemonConfig, frame_bytes: usize) -> usize {
+    match config.record.mode {
+        RecordMode::Off => 0,
+        RecordMode::Clips | RecordMode::Continuous => config.record.memory_bytes / frame_bytes.max(1),
     }
 }
 
@@ -241,7 +300,9 @@ fn live_options(
             PacketPath::UdpSocket
         },
         socket_buffer_bytes: connection.socket_buffer_bytes,
-        buffers: connection.buffers + frames_held(&eye_of(rig, connection)),
+        buffers: connection.buffers
+            + frames_held(&eye_of(rig, connection))
+            + frames_recorded(config, setup.width_px as usize * setup.height_px as usize),
         realtime_priority: (connection.realtime_priority > 0).then_some(connection.realtime_priority),
         ptp: if connection.ptp {
             Ptp::WhereAvailable

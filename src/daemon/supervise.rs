@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Sender, TrySendError};
 
 use super::health::{CameraHealth, CameraState};
+use super::recorder::{RecordedLive, RecorderHealth};
 use crate::capture::aravis::{CameraMemory, LiveCamera, LiveError, LiveFrame, LiveOptions, Next};
 use crate::time::SystemClock;
 
@@ -27,6 +28,8 @@ pub struct Supervisor {
     pub options: LiveOptions,
     /// Where frames go; when it is full the frame is dropped and counted.
     pub frames: Sender<LiveFrame>,
+    /// The recorder, and what it could not take.
+    pub record: Option<(Sender<RecordedLive>, Arc<RecorderHealth>)>,
     /// What it tells.
     pub health: Arc<CameraHealth>,
     /// Set: stop.
@@ -127,6 +130,16 @@ impl Supervisor {
     }
 
     fn hand_on(&self, frame: LiveFrame) {
+        if let Some((recorder, lost)) = &self.record {
+            let recorded = RecordedLive {
+                camera: self.options.camera.clone(),
+                frame: frame.frame.clone(),
+                exposure_s: frame.exposure_s,
+            };
+            if recorder.try_send(recorded).is_err() {
+                lost.frames_lost.fetch_add(1, Ordering::Relaxed);
+            }
+        }
         if let Err(TrySendError::Full(_)) = self.frames.try_send(frame) {
             self.health.dropped.fetch_add(1, Ordering::Relaxed);
         }

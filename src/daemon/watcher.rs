@@ -96,8 +96,7 @@ impl Watcher<'_> {
             .monotonic()
             .nanos()
             .saturating_sub(self.last_arrival.nanos());
-        let late_us = u64::try_from(late_ns / 1000).unwrap_or(0);
-        self.health.latency_us.store(late_us, Ordering::Relaxed);
+        self.health.latency.add_s(1e-9 * late_ns as f64);
         self.send();
         self.tell_how_far();
     }

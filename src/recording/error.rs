@@ -92,7 +92,7 @@ pub enum RecordingError {
 
 impl RecordingError {
     /// An I/O error with its file; a full disk gets its own variant.
-    pub(super) fn io(file: &Path, source: std::io::Error) -> Self {
+    pub(crate) fn io(file: &Path, source: std::io::Error) -> Self {
         use std::io::ErrorKind::{QuotaExceeded, StorageFull};
         if matches!(source.kind(), StorageFull | QuotaExceeded) {
             return Self::DiskFull {

@@ -90,6 +90,7 @@ impl Lab {
         words.extend(arguments);
         Command::new(words[0])
             .args(&words[1..])
+            .env("NO_COLOR", "1")
             .stdin(Stdio::piped())
             .stdout(file(out))
             .stderr(file(log))

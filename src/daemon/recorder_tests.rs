@@ -1,0 +1,193 @@
+//! The recorder against a disk that works, one that does not, and a memory that is too small.
+
+use std::path::Path;
+
+use crossbeam_channel::{bounded, unbounded};
+
+use super::*;
+use crate::daemon::clip_disk::ClipDisk;
+use crate::recording::SessionReader;
+use crate::scene::FrameStamp;
+use crate::time::StampedMidpoint;
+
+const BYTES: usize = 64 * 32;
+
+fn config(folder: &Path, mode: RecordMode) -> RecordConfig {
+    RecordConfig {
+        mode,
+        folder: folder.to_owned(),
+        memory_bytes: 200 * BYTES,
+        quota_bytes: 1 << 30,
+        before_s: 0.5,
+        after_s: 0.5,
+    }
+}
+
+fn live(camera: &str, k: i64) -> RecordedLive {
+    RecordedLive {
+        camera: CameraId::new(camera).unwrap(),
+        frame: Frame {
+            stamp: FrameStamp {
+                frame: k as u64,
+                device: None,
+                arrival: None,
+                stamped: StampedMidpoint::from_nanos(k * 10_000_000),
+            },
+            width_px: 64,
+            height_px: 32,
+            pixels: Arc::new(vec![7_u8; BYTES]),
+        },
+        exposure_s: 0.001,
+    }
+}
+
+/// Runs recorder and disk over `count` frames (100 Hz) of two cameras; a ball flies in 1.0–1.4 s.
+fn record(config: RecordConfig, count: i64) -> Arc<RecorderHealth> {
+    let health = Arc::new(RecorderHealth::default());
+    let (disk_in, disk) = bounded(4);
+    let cameras = ["first", "third"].map(|c| CameraId::new(c).unwrap()).to_vec();
+    let recorder = Recorder::new(config.clone(), cameras, disk_in, health.clone());
+    let (frames_in, frames) = unbounded();
+    let (triggers_in, triggers) = unbounded();
+    let ball = ClipTrigger {
+        first_ns: 1_000_000_000,
+        last_ns: 1_400_000_000,
+    };
+    for k in 1..=count {
+        for camera in ["first", "third"] {
+            frames_in.send(live(camera, k)).unwrap();
+        }
+    }
+    triggers_in.send(ball).unwrap();
+    drop((frames_in, triggers_in));
+    let most = std::thread::scope(|scope| {
+        let disk_thread = ClipDisk {
+            config,
+            rig_toml: String::new(),
+            calibration: "none".into(),
+            health: health.clone(),
+        };
+        scope.spawn(move || disk_thread.run(&disk));
+        recorder.run(&frames, &triggers);
+        health.held_bytes.load(Ordering::Relaxed)
+    });
+    assert!(most <= 200 * BYTES, "{most}");
+    health
+}
+
+fn sessions(folder: &Path) -> Vec<std::path::PathBuf> {
+    let mut found: Vec<_> = std::fs::read_dir(folder)
+        .unwrap()
+        .map(|e| e.unwrap().path())
+        .collect();
+    found.sort();
+    found
+}
+
+#[test]
+fn a_clip_has_every_frame_from_before_release_to_after_the_plate() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = RecordConfig {
+        memory_bytes: 1 << 30,
+        ..config(folder.path(), RecordMode::Clips)
+    };
+    let (disk_in, disk) = bounded(4);
+    let health = Arc::new(RecorderHealth::default());
+    let cameras = ["first", "third"].map(|c| CameraId::new(c).unwrap()).to_vec();
+    let mut recorder = Recorder::new(config.clone(), cameras, disk_in, health.clone());
+    for k in 1..=250 {
+        recorder.take(live("first", k));
+        recorder.take(live("third", k));
+    }
+    recorder.cut(ClipTrigger {
+        first_ns: 1_000_000_000,
+        last_ns: 1_400_000_000,
+    });
+    drop(recorder);
+    let disk_thread = ClipDisk {
+        config,
+        rig_toml: String::new(),
+        calibration: "none".into(),
+        health: health.clone(),
+    };
+    disk_thread.run(&disk);
+    let found = sessions(folder.path());
+    assert_eq!(found.len(), 1);
+    let session = SessionReader::open(&found[0]).unwrap();
+    for camera in ["first", "third"] {
+        let frames = session.frames(&CameraId::new(camera).unwrap()).unwrap();
+        let numbers: Vec<u64> = frames.map(|f| f.frame.stamp.frame).collect();
+        assert_eq!(numbers, (50..=190).collect::<Vec<_>>());
+    }
+    assert_eq!(
+        health.held_bytes.load(Ordering::Relaxed),
+        0,
+        "all memory is given back"
+    );
+}
+
+#[test]
+fn too_little_memory_cuts_a_clip_short_and_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    // 100 frames a camera, and a clip is 140.
+    let health = record(config(folder.path(), RecordMode::Clips), 250);
+    assert_eq!(health.clips_cut.load(Ordering::Relaxed), 1);
+    assert_eq!(health.held_bytes.load(Ordering::Relaxed), 0);
+}
+
+#[test]
+fn a_disk_that_is_gone_costs_recordings_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("not-a-folder");
+    std::fs::write(&file, "x").unwrap();
+    let health = record(config(&file, RecordMode::Clips), 160);
+    assert_eq!(health.clips.load(Ordering::Relaxed), 0);
+    assert_eq!(health.clips_lost.load(Ordering::Relaxed), 1);
+    assert!(health.frames_lost.load(Ordering::Relaxed) > 0);
+    assert_eq!(health.held_bytes.load(Ordering::Relaxed), 0);
+}
+
+#[test]
+fn a_continuous_recording_keeps_or_counts_every_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let health = record(config(folder.path(), RecordMode::Continuous), 100);
+    let written = health.frames.load(Ordering::Relaxed);
+    let lost = health.frames_lost.load(Ordering::Relaxed);
+    assert_eq!(written + lost, 200);
+    assert!(written > 0);
+}
+
+#[test]
+fn the_quota_removes_the_oldest_and_no_stranger() {
+    let folder = tempfile::tempdir().unwrap();
+    let small = RecordConfig {
+        quota_bytes: 1,
+        memory_bytes: 1 << 30,
+        ..config(folder.path(), RecordMode::Clips)
+    };
+    std::fs::create_dir(folder.path().join("my-own")).unwrap();
+    for _ in 0..2 {
+        let health = Arc::new(RecorderHealth::default());
+        let (disk_in, disk) = bounded(1);
+        let held = HeldFrame::new(
+            CameraId::new("first").unwrap(),
+            live("first", 1).frame,
+            0.001,
+            &health,
+        );
+        disk_in.send(DiskJob::Clip(vec![Arc::new(held)])).unwrap();
+        drop(disk_in);
+        let disk_thread = ClipDisk {
+            config: small.clone(),
+            rig_toml: String::new(),
+            calibration: "none".into(),
+            health: health.clone(),
+        };
+        disk_thread.run(&disk);
+        assert_eq!(health.clips.load(Ordering::Relaxed), 1);
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let names: Vec<_> = sessions(folder.path());
+    assert_eq!(names.len(), 2, "{names:?}");
+    assert!(folder.path().join("my-own").exists());
+}
