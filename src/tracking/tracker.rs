@@ -282,22 +282,23 @@ impl Tracker {
             let both = points.iter().filter(|p| other.iter().any(|q| q.same(p))).count();
             both as f64 > SHARED_MAX * points.len() as f64
         };
-        // The end of a ball that was lost for a while also finds its begin: the longer one counts.
-        if let Some(index) = self.pending.iter().position(|(other, _)| shared(other)) {
-            let longer = self
-                .pending
-                .get(index)
-                .is_some_and(|(_, held)| held.track.points.len() < ball.track.points.len());
-            if !longer {
-                return;
-            }
-            let (replaced, _) = self.pending.remove(index);
-            self.recent.retain(
-                |other| !matches!((other.first(), replaced.first()), (Some(a), Some(b)) if a.same(b)),
-            );
-        }
-        if self.recent.iter().any(|other| shared(other)) {
+        // The end of a ball that was lost for a while also finds its begin: the longer one counts, unless that makes
+        // a pitch into something else.
+        let rest_of = self.pending.iter().position(|(other, _)| shared(other));
+        let held = rest_of.and_then(|index| self.pending.get(index));
+        if held.is_some_and(|(_, held)| {
+            held.track.points.len() >= ball.track.points.len()
+                || (held.kind == TrackKind::Pitch && ball.kind != TrackKind::Pitch)
+        }) {
             return;
+        }
+        let same_begin = |a: &[Point], b: &[Point]| a.first().zip(b.first()).is_some_and(|(a, b)| a.same(b));
+        let is_held = |other: &[Point]| held.is_some_and(|(points, _)| same_begin(other, points));
+        if self.recent.iter().any(|other| shared(other) && !is_held(other)) {
+            return;
+        }
+        if let Some((replaced, _)) = rest_of.map(|index| self.pending.remove(index)) {
+            self.recent.retain(|other| !same_begin(other, &replaced));
         }
         if ball.kind == TrackKind::Pitch && self.companions(&points) >= COMPANIONS_MIN {
             ball.kind = TrackKind::Group;
