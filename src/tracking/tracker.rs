@@ -21,6 +21,9 @@ const BRANCHES: usize = 2;
 const YOUNG: (usize, f64) = (6, 3.0);
 /// Two paths that share more than this are one ball.
 const SHARED_MAX: f64 = 0.3;
+/// Branches of one beginning that are followed at once. An arm has dozens with more points than a ball just thrown:
+/// without this bound they take every place and the pitch is lost.
+const FAMILY_MAX: usize = 6;
 
 /// The rest of a lost ball begins at most so many frames before and after the end seen, this much off.
 const REST_OVERLAP_FRAMES: f64 = 8.0;
@@ -229,7 +232,7 @@ impl Tracker {
                 ended.push(hypothesis);
             } else if kept.iter().any(|better| better.same_end(&hypothesis)) {
                 continue;
-            } else if kept.len() >= self.config.hypotheses_max {
+            } else if kept.len() >= self.config.hypotheses_max || family(&kept, &hypothesis) >= FAMILY_MAX {
                 self.counters.hypotheses_dropped += 1;
             } else {
                 kept.push(hypothesis);
@@ -323,6 +326,15 @@ impl Tracker {
             self.finished.push(ball);
         }
     }
+}
+
+/// How many of these paths begin where this one does: the branches of one mover.
+fn family(kept: &[Hypothesis], hypothesis: &Hypothesis) -> usize {
+    let Some(first) = hypothesis.points.first() else {
+        return 0;
+    };
+    let same = |h: &&Hypothesis| h.points.first().is_some_and(|p| p.same(first));
+    kept.iter().filter(same).count()
 }
 
 /// Whether a path may be the rest of an ended one: it begins near its end and goes the same way as fast.
