@@ -13,7 +13,7 @@ use crate::config::{load_rig, parse_rig};
 use crate::daemon::watch::{Pace, Watched, watch_all};
 use crate::eye::EyeConfig;
 use crate::recording::SessionReader;
-use crate::scene::{CameraId, Rig, Track};
+use crate::scene::{Rig, Track};
 
 const AFTER_HELP: &str = "\
 Examples:
@@ -67,7 +67,9 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     let sources = sources(&session, &rig)?;
     let progress = bar(sources.iter().map(|s| s.frames_expected()).sum());
     let PaceArg(pace) = args.pace;
-    let watched = watch_all(sources, &|camera| eye_of(&rig, camera), pace, &|| progress.inc(1));
+    let watched = watch_all(sources, &|camera| EyeConfig::of_rig(&rig, camera), pace, &|| {
+        progress.inc(1)
+    });
     progress.finish_and_clear();
 
     let mut warnings: Vec<String> = watched.iter().flat_map(|w| w.reasons.iter().cloned()).collect();
@@ -158,14 +160,4 @@ fn bar(frames: Option<u64>) -> ProgressBar {
         Ok(style) => bar.with_style(style),
         Err(_) => bar,
     }
-}
-
-/// What the rig knows of a camera, as its eye's settings.
-fn eye_of(rig: &Rig, camera: &CameraId) -> EyeConfig {
-    let mut eye = EyeConfig::default();
-    if let Some(setup) = rig.cameras.iter().find(|c| c.id == *camera) {
-        eye.detector.exposure_s = setup.exposure_s;
-        eye.tracker.frame_rate_hz = setup.frame_rate_hz;
-    }
-    eye
 }

@@ -117,7 +117,7 @@ pub fn start(
             stop: stop.clone(),
         };
         captures.push((format!("cap-{}", connection.id), supervisor));
-        let eye = eye_of(&rig, connection);
+        let eye = EyeConfig::of_rig(&rig, &connection.id);
         let (eye_health, eye_tracks): (_, Sender<SeenTrack>) = (own.clone(), tracks_in.clone());
         threads.push(named(format!("eye-{}", connection.id), move || {
             watcher::watch(&frames, &eye_tracks, &eye, &eye_health);
@@ -259,16 +259,6 @@ fn with_stamps_roughly_alike(mut rig: Rig) -> Rig {
     rig
 }
 
-/// As a replay sets it up.
-fn eye_of(rig: &Rig, connection: &CameraConnection) -> EyeConfig {
-    let mut eye = EyeConfig::default();
-    if let Some(setup) = rig.camera(&connection.id) {
-        eye.detector.exposure_s = setup.exposure_s;
-        eye.tracker.frame_rate_hz = setup.frame_rate_hz;
-    }
-    eye
-}
-
 /// Frames that an eye keeps to compare with: a pool that is no larger starves its camera.
 fn frames_held(eye: &EyeConfig) -> usize {
     3 * eye.detector.lag_frames_max.max(eye.detector.lag_frames) + 3
@@ -301,7 +291,7 @@ fn live_options(
         },
         socket_buffer_bytes: connection.socket_buffer_bytes,
         buffers: connection.buffers
-            + frames_held(&eye_of(rig, connection))
+            + frames_held(&EyeConfig::of_rig(rig, &connection.id))
             + frames_recorded(config, setup.width_px as usize * setup.height_px as usize),
         realtime_priority: (connection.realtime_priority > 0).then_some(connection.realtime_priority),
         ptp: if connection.ptp {

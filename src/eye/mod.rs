@@ -1,7 +1,7 @@
 //! One camera's eye: frames in, tracks of pitched balls out (detection, then tracking, then a second look).
 
 use crate::detection::{Answers, DetectionError, Detector, DetectorConfig, DetectorCounters, ExpectedBall};
-use crate::scene::{CameraId, Detection, Frame, FrameStamp, Track};
+use crate::scene::{CameraId, Detection, Frame, FrameStamp, Rig, Track};
 use crate::tracking::{
     TrackKind, TrackShape, TrackedBall, Tracker, TrackerConfig, TrackerCounters, polish, vote,
 };
@@ -19,6 +19,19 @@ pub struct EyeConfig {
     pub detector: DetectorConfig,
     /// Of its tracker.
     pub tracker: TrackerConfig,
+}
+
+impl EyeConfig {
+    /// What the rig knows of a camera; the defaults where it does not know it. Live frames and replayed ones both
+    /// take it from here, so that they give the same pitches.
+    pub fn of_rig(rig: &Rig, camera: &CameraId) -> Self {
+        let mut eye = Self::default();
+        if let Some(setup) = rig.camera(camera) {
+            eye.detector.exposure_s = setup.exposure_s;
+            eye.tracker.frame_rate_hz = setup.frame_rate_hz;
+        }
+        eye
+    }
 }
 
 /// Detector and tracker of one camera.
