@@ -11,7 +11,7 @@ use crate::simulation::Scenario;
 const AFTER_HELP: &str = "\
 Examples:
   pitchd evaluate bound config/scenario/three.toml
-  pitchd evaluate bound config/scenario/three.toml --seeds 50 --csv /tmp/efficiency.csv";
+  pitchd evaluate bound config/scenario/three.toml --seeds 50 --csv /tmp/efficiency.csv --plot /tmp/efficiency.svg";
 
 /// Arguments of `pitchd evaluate bound`.
 #[derive(Debug, Args)]
@@ -25,6 +25,9 @@ pub struct BoundArgs {
     /// Every error of the study, as CSV.
     #[arg(long, value_name = "FILE")]
     pub csv: Option<PathBuf>,
+    /// The study as a picture (SVG): errors in stated sigmas, rms over bound, coverage, NEES.
+    #[arg(long, value_name = "FILE")]
+    pub plot: Option<PathBuf>,
 }
 
 /// Prints the bound, and the study when seeds are asked for.
@@ -60,8 +63,10 @@ pub fn run(args: &BoundArgs) -> anyhow::Result<()> {
         let study = study(&scenario, args.seeds, |_| bar.inc(1))?;
         bar.finish_and_clear();
         say!("{study}");
-        if let Some(path) = &args.csv {
-            std::fs::write(path, study.csv()).with_context(|| format!("cannot write {}", path.display()))?;
+        for (path, text) in [(&args.csv, study.csv()), (&args.plot, study.svg())] {
+            if let Some(path) = path {
+                std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
+            }
         }
     }
     Ok(())

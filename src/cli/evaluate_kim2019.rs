@@ -29,6 +29,12 @@ pub struct Kim2019Args {
     /// 1σ of the capture time noise N_c, frames (not given in the paper).
     #[arg(long, value_name = "FRAMES", default_value_t = 0.05)]
     pub capture_sigma: f64,
+    /// Noise presets by number, 1 to 7 (all seven).
+    #[arg(long, value_name = "N,N", value_delimiter = ',')]
+    pub presets: Vec<usize>,
+    /// Draws of the noise per cell (1 in the paper); a cell holds the mean of their errors.
+    #[arg(long, value_name = "N")]
+    pub draws: Option<u64>,
     /// Trials per delay of the two-camera protocol (4 in the paper).
     #[arg(long, value_name = "N")]
     pub trials: Option<usize>,
@@ -46,6 +52,12 @@ pub fn run(args: &Kim2019Args) -> anyhow::Result<()> {
     };
     options.seed = args.seed;
     options.capture_sigma_frames = args.capture_sigma;
+    if !args.presets.is_empty() {
+        options.presets.clone_from(&args.presets);
+    }
+    if let Some(draws) = args.draws {
+        options.draws = draws;
+    }
     if let Some(trials) = args.trials {
         options.protocol.trials = trials;
     }

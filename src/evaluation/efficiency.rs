@@ -6,6 +6,7 @@ use std::fmt;
 use nalgebra::Point3;
 use serde::Serialize;
 
+use super::{efficiency_plot, parallel};
 use crate::calibration::association::{AssociationOptions, associate};
 use crate::calibration::joint::{Bound, BoundOptions, Clocks, JointOptions, bound};
 use crate::calibration::recipe::{CalibrationOptions, CalibrationOutcome, calibrate};
@@ -86,7 +87,7 @@ pub struct Efficiency {
     pub trials: Vec<Trial>,
     /// What failed.
     pub failures: Vec<Failure>,
-    /// Mean CPU time of one calibration, seconds.
+    /// Mean time of one calibration, seconds; more than its CPU time where the machine is shared.
     pub calibration_s: f64,
     /// By quantity.
     pub summaries: Vec<Summary>,
@@ -171,7 +172,7 @@ pub fn scene_bound(scenario: &Scenario) -> Result<(Vec<PitchTracks>, Bound), Eff
     Ok((pitches, bound))
 }
 
-/// Calibrates the scenario under `seeds` seeds from its own on. `each` hears of every seed done.
+/// Calibrates the scenario under `seeds` seeds from its own on, on all cores. `each` hears how many are done.
 ///
 /// # Errors
 /// [`EfficiencyError`]: a scenario that cannot be simulated or has no bound. A calibration that fails is
@@ -179,24 +180,34 @@ pub fn scene_bound(scenario: &Scenario) -> Result<(Vec<PitchTracks>, Bound), Eff
 pub fn study(
     scenario: &Scenario,
     seeds: u64,
-    mut each: impl FnMut(u64),
+    each: impl FnMut(usize),
 ) -> Result<Efficiency, EfficiencyError> {
     let mut study = Efficiency::default();
-    for seed in scenario.seed..scenario.seed + seeds {
+    let of_seed = |k: usize| -> Result<Efficiency, EfficiencyError> {
+        let seed = scenario.seed + k as u64;
         let scenario = scenario.clone().with_seed(seed);
         let simulated = simulate_tracks(&scenario)?;
         let (of_bound, bound) = scene_bound(&scenario)?;
         let clock = std::time::Instant::now();
         let outcome = calibrate(&simulated.rig, &simulated.tracks, &CalibrationOptions::default());
-        study.calibration_s += clock.elapsed().as_secs_f64() / seeds as f64;
+        let mut own = Efficiency {
+            calibration_s: clock.elapsed().as_secs_f64(),
+            ..Efficiency::default()
+        };
         match outcome {
-            Ok(outcome) => study.add(seed, &simulated, &outcome, (&of_bound, &bound)),
-            Err(error) => study.failures.push(Failure {
+            Ok(outcome) => own.add(seed, &simulated, &outcome, (&of_bound, &bound)),
+            Err(error) => own.failures.push(Failure {
                 seed,
                 reason: error.to_string(),
             }),
         }
-        each(seed);
+        Ok(own)
+    };
+    for own in parallel::each(usize::try_from(seeds).unwrap_or(usize::MAX), of_seed, each) {
+        let own = own?;
+        study.calibration_s += own.calibration_s / seeds as f64;
+        study.trials.extend(own.trials);
+        study.failures.extend(own.failures);
     }
     study.summarise();
     Ok(study)
@@ -317,14 +328,26 @@ impl Efficiency {
         groups.dedup();
         self.summaries = groups
             .into_iter()
-            .map(|(quantity, of)| {
-                let own = self
-                    .trials
-                    .iter()
-                    .filter(|t| t.quantity == quantity && (quantity != Quantity::DelayFrames || t.of == of));
-                summary(quantity, of.clone(), own)
-            })
+            .map(|(quantity, of)| summary(quantity, of.clone(), self.trials_of(quantity, &of)))
             .collect();
+    }
+
+    fn trials_of(&self, quantity: Quantity, of: &str) -> impl Iterator<Item = &Trial> {
+        self.trials
+            .iter()
+            .filter(move |t| t.quantity == quantity && (quantity != Quantity::DelayFrames || t.of == of))
+    }
+
+    /// Errors over their stated sigmas of one summary's quantity.
+    pub fn errors_in_sigmas(&self, summary: &Summary) -> Vec<f64> {
+        self.trials_of(summary.quantity, &summary.of)
+            .map(|t| t.error / t.sigma)
+            .collect()
+    }
+
+    /// The study as a picture: a histogram of [`Self::errors_in_sigmas`] per summary.
+    pub fn svg(&self) -> String {
+        efficiency_plot::svg(self)
     }
 
     /// Every error as CSV.

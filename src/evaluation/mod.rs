@@ -2,7 +2,9 @@
 
 mod detection;
 pub mod efficiency;
+mod efficiency_plot;
 pub mod kim2019;
+mod parallel;
 mod pitches;
 mod trajectory;
 

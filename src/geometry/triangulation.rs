@@ -1,6 +1,6 @@
 //! A 3-D point from its pixels in two or more posed cameras.
 
-use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
+use nalgebra::{Matrix3, Matrix4, MatrixXx4, Point3, RowVector4, Vector3};
 
 use super::{Intrinsics, Normalized, Pixel, Pose};
 
@@ -23,19 +23,25 @@ pub fn triangulate_dlt(views: &[(Pose, Normalized)]) -> Result<Point3<f64>, Tria
     if views.len() < 2 {
         return Err(TriangulationError::TooFewViews { views: views.len() });
     }
-    let mut rows = DMatrix::<f64>::zeros(2 * views.len(), 4);
-    for (i, (pose, n)) in views.iter().enumerate() {
-        let r = pose.rotation.matrix();
-        let t = &pose.translation_m;
-        for (k, value) in [n.x, n.y].into_iter().enumerate() {
-            let mut row = rows.row_mut(2 * i + k);
-            for c in 0..3 {
-                row[c] = value * r[(2, c)] - r[(k, c)];
-            }
-            row[3] = value * t.z - t[k];
-        }
-    }
-    let svd = rows.svd(false, true);
+    let row = |view: usize, k: usize| {
+        let (pose, n) = &views[view];
+        let value = if k == 0 { n.x } else { n.y };
+        let depth = pose.rotation.matrix().row(2) * value - pose.rotation.matrix().row(k);
+        let own = value * pose.translation_m.z - pose.translation_m[k];
+        RowVector4::new(depth[0], depth[1], depth[2], own)
+    };
+    let square = if views.len() == 2 {
+        Matrix4::from_rows(&[row(0, 0), row(0, 1), row(1, 0), row(1, 1)])
+    } else {
+        // R of A = QR has A's singular values and right vectors: the small problem stays four by four.
+        let rows: Vec<_> = (0..2 * views.len()).map(|i| row(i / 2, i % 2)).collect();
+        MatrixXx4::from_rows(&rows)
+            .qr()
+            .r()
+            .fixed_view::<4, 4>(0, 0)
+            .into_owned()
+    };
+    let svd = square.svd(false, true);
     let v_t = svd.v_t.ok_or(TriangulationError::NoIntersection)?;
     let smallest = svd.singular_values.imin();
     let h = v_t.row(smallest);

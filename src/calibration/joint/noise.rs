@@ -17,6 +17,10 @@ const POINTS_NEEDED: usize = 30;
 /// in 500 would be given some, which costs it little.
 const JITTER_SIGMAS: f64 = 3.0;
 
+/// No camera is believed to be quieter, pixels: points without any noise would weigh without limit, and the normal
+/// equations would be singular to working accuracy.
+const SIGMA_MIN_PX: f64 = 1e-3;
+
 /// One point's residual along and across its motion.
 struct Component {
     /// Squared residual, px², made up for the share of it that the fit took.
@@ -79,6 +83,7 @@ pub(super) fn scale_by_median(state: &mut JointState) {
 }
 
 fn scaled(noise: CameraNoise, ratio: f64) -> CameraNoise {
+    let ratio = ratio.max((SIGMA_MIN_PX / noise.sigma_px).powi(2));
     CameraNoise {
         sigma_px: noise.sigma_px * ratio.sqrt(),
         variance_factor: noise.variance_factor * ratio,

@@ -69,6 +69,10 @@ pub struct Cell {
     pub delays_frames: [f64; 2],
     /// Per algorithm, in the order of [`Algorithm::ALL`].
     pub errors: Vec<Option<CellErrors>>,
+    /// Draws of the noise, and in how many of them each algorithm answered.
+    pub draws: u64,
+    /// In the order of [`Algorithm::ALL`].
+    pub answered: Vec<u64>,
     /// Mean distance of the points to F1 and to F2, pixels.
     pub misfit_px: [f64; 2],
     /// Why `joint` gave no answer, where it gave none.
@@ -104,27 +108,70 @@ pub(super) fn nothing(rig: &Rig) -> InitialEstimate {
     }
 }
 
-/// Runs every algorithm on one cell.
+/// Draws of the noise: their mean errors fill a cell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Draws {
+    /// Seed of the first; the others count on.
+    pub first_seed: u64,
+    /// How many; one is run in any case.
+    pub count: u64,
+}
+
+/// Runs every algorithm on one cell. Its errors are means over the draws in which the algorithm answered; F1, whose
+/// error is its model's and hardly the noise's, runs on the first draw alone.
 ///
 /// # Errors
-/// Where no track can be used at all; an algorithm that fails is a `None`.
+/// Where no track can be used at all; an algorithm that fails in every draw is a `None`.
 pub fn run(
     rig: &Rig,
+    delays_frames: [f64; 2],
+    noise: &NoisePreset,
+    draws: Draws,
+) -> Result<Cell, CalibrationError> {
+    let both = [TrajectoryModel::Quadratic, TrajectoryModel::PAPER];
+    let mut cell = draw((rig, &both), delays_frames, noise, draws.first_seed)?;
+    let mut all = vec![cell.errors.clone()];
+    for k in 1..draws.count {
+        let next = draw((rig, &both[1..]), delays_frames, noise, draws.first_seed + k)?;
+        cell.joint_refusal = cell.joint_refusal.or(next.joint_refusal);
+        all.push(next.errors);
+    }
+    cell.draws = all.len() as u64;
+    for (k, mean) in cell.errors.iter_mut().enumerate() {
+        let answers: Vec<CellErrors> = all.iter().filter_map(|e| e.get(k).copied().flatten()).collect();
+        *mean = mean_errors(&answers);
+        cell.answered[k] = answers.len() as u64;
+    }
+    Ok(cell)
+}
+
+fn mean_errors(answers: &[CellErrors]) -> Option<CellErrors> {
+    let mean = |of: fn(&CellErrors) -> f64| answers.iter().map(of).sum::<f64>() / answers.len() as f64;
+    (!answers.is_empty()).then(|| CellErrors {
+        delay_frames: [mean(|e| e.delay_frames[0]), mean(|e| e.delay_frames[1])],
+        distance_cm: mean(|e| e.distance_cm),
+    })
+}
+
+fn draw(
+    (rig, models): (&Rig, &[TrajectoryModel]),
     delays_frames: [f64; 2],
     noise: &NoisePreset,
     seed: u64,
 ) -> Result<Cell, CalibrationError> {
     let pitches = space::pitches(rig, &[0.0, delays_frames[0], delays_frames[1]], noise, seed);
-    let mut errors = Vec::new();
+    let f1_left_out = if models.contains(&TrajectoryModel::Quadratic) {
+        0
+    } else {
+        2
+    };
+    let mut errors = vec![None; f1_left_out];
     let mut misfit_px = [0.0; 2];
     let mut joint_start = None;
-    for (k, model) in [TrajectoryModel::Quadratic, TrajectoryModel::PAPER]
-        .into_iter()
-        .enumerate()
-    {
+    for &model in models {
         let first = options(model, Optimizer::QuasiNewton);
         let problem = prepare(rig, &pitches, &nothing(rig), &first)?;
-        misfit_px[k] = problem.misfit_px();
+        misfit_px[usize::from(model == TrajectoryModel::PAPER)] = problem.misfit_px();
         let truth: Vec<Point3<f64>> = problem
             .instants
             .iter()
@@ -158,6 +205,8 @@ pub fn run(
     errors.push(joint.ok());
     Ok(Cell {
         delays_frames,
+        draws: 1,
+        answered: errors.iter().map(|e| u64::from(e.is_some())).collect(),
         errors,
         misfit_px,
         joint_refusal,
@@ -242,7 +291,11 @@ mod tests {
     #[test]
     fn without_noise_f2_and_joint_find_the_delays_and_f1_does_not() {
         let rig = space::rig().unwrap();
-        let cell = run(&rig, [-1.0, 1.5], &space::presets(0.05)[0], 3).unwrap();
+        let once = Draws {
+            first_seed: 3,
+            count: 1,
+        };
+        let cell = run(&rig, [1.0, -1.5], &space::presets(0.05)[0], once).unwrap();
         let worst = |a: Algorithm| {
             let k = Algorithm::ALL.iter().position(|b| *b == a).unwrap();
             cell.errors[k].map_or(f64::INFINITY, |e| e.delay_frames[0].max(e.delay_frames[1]))

@@ -11,9 +11,10 @@ mod tables;
 
 use nalgebra::Point3;
 
-use self::cells::{Algorithm, Cell};
+use self::cells::{Algorithm, Cell, Draws};
 use self::protocol::{ProtocolOptions, Trial};
 use self::space::NoisePreset;
+use super::parallel;
 use crate::calibration::kim2019::trajectory::{ImageTrajectory, StrayPoints, TrajectoryModel};
 use crate::calibration::{CalibrationError, PitchTracks};
 use crate::geometry::triangulate_dlt;
@@ -29,6 +30,8 @@ pub struct StudyOptions {
     pub presets: Vec<usize>,
     /// σ_c of N_c, frames: not given in the paper.
     pub capture_sigma_frames: f64,
+    /// Draws of the noise per cell of a noisy preset, whose mean errors the cell holds (one in the paper).
+    pub draws: u64,
     /// Seed of the noise.
     pub seed: u64,
     /// The two-camera trials.
@@ -42,6 +45,7 @@ impl StudyOptions {
             delays_frames: (-4..=4).map(|k| 0.5 * f64::from(k)).collect(),
             presets: (1..=7).collect(),
             capture_sigma_frames: 0.05,
+            draws: 4,
             seed: 1,
             protocol: ProtocolOptions {
                 trials: 4,
@@ -57,6 +61,7 @@ impl StudyOptions {
         Self {
             delays_frames: vec![-1.5, 1.0],
             presets: vec![1, 5, 7],
+            draws: 1,
             protocol: ProtocolOptions {
                 trials: 1,
                 ..full.protocol
@@ -107,42 +112,63 @@ pub struct Study {
     pub trials: Vec<Trial>,
 }
 
-/// Runs the experiment; `progress` hears how many of how many steps are done.
+/// Runs the experiment on all cores; `progress` hears how many of how many steps are done.
 ///
 /// # Errors
 /// [`StudyError`]; an algorithm that fails in a cell is a gap in the tables, not an error.
 pub fn run(options: &StudyOptions, mut progress: impl FnMut(usize, usize)) -> Result<Study, StudyError> {
     let rig = space::rig()?;
     let all = space::presets(options.capture_sigma_frames);
-    let per_matrix = options.delays_frames.len().pow(2);
-    let delays = [1.0 / 3.0, 0.5, 2.0 / 3.0, 1.0];
-    let steps = options.presets.len() * per_matrix + delays.len() * options.protocol.trials;
-    let mut done = 0;
-    let mut matrices = Vec::new();
-    for &number in &options.presets {
-        let preset = *number
-            .checked_sub(1)
-            .and_then(|n| all.get(n))
-            .ok_or(StudyError::UnknownPreset(number))?;
-        let mut cells = Vec::with_capacity(per_matrix);
-        for &tau3 in &options.delays_frames {
-            for &tau2 in &options.delays_frames {
-                let seed = options.seed + 1000 * number as u64 + cells.len() as u64;
-                cells.push(cells::run(&rig, [tau2, tau3], &preset, seed)?);
-                done += 1;
-                progress(done, steps);
-            }
+    let preset_of = |number: usize| {
+        let found = number.checked_sub(1).and_then(|n| all.get(n)).copied();
+        found.ok_or(StudyError::UnknownPreset(number))
+    };
+    let presets: Vec<NoisePreset> = options
+        .presets
+        .iter()
+        .map(|&n| preset_of(n))
+        .collect::<Result<_, _>>()?;
+    let size = options.delays_frames.len();
+    let per_matrix = size * size;
+    let of_matrices = presets.len() * per_matrix;
+    let per_delay = options.protocol.trials;
+    let steps = of_matrices + PROTOCOL_DELAYS_FRAMES.len() * per_delay;
+    let work = |step: usize| -> Result<Step, StudyError> {
+        if let Some(trial) = step.checked_sub(of_matrices) {
+            let delay_frames = PROTOCOL_DELAYS_FRAMES[trial / per_delay];
+            let trial = protocol::run(delay_frames, 1 + trial % per_delay, &options.protocol)?;
+            return Ok(Step::Trial(trial));
         }
-        matrices.push(Matrix { preset, cells });
-    }
-    let mut trials = Vec::new();
-    for delay_frames in delays {
-        for trial in 1..=options.protocol.trials {
-            trials.push(protocol::run(delay_frames, trial, &options.protocol)?);
-            done += 1;
-            progress(done, steps);
+        let (matrix, cell) = (step / per_matrix, step % per_matrix);
+        let delays = [
+            options.delays_frames[cell % size],
+            options.delays_frames[cell / size],
+        ];
+        let draws = Draws {
+            first_seed: options.seed + 1000 * (options.presets[matrix] * per_matrix + cell) as u64,
+            count: if presets[matrix].is_noisy() {
+                options.draws
+            } else {
+                1
+            },
+        };
+        Ok(Step::Cell(cells::run(&rig, delays, &presets[matrix], draws)?))
+    };
+    let (mut cells, mut trials) = (Vec::new(), Vec::new());
+    for step in parallel::each(steps, work, |done| progress(done, steps)) {
+        match step? {
+            Step::Cell(cell) => cells.push(cell),
+            Step::Trial(trial) => trials.push(trial),
         }
     }
+    let matrices = presets
+        .iter()
+        .zip(cells.chunks(per_matrix.max(1)))
+        .map(|(preset, cells)| Matrix {
+            preset: *preset,
+            cells: cells.to_vec(),
+        })
+        .collect();
     Ok(Study {
         options: options.clone(),
         table_1: table_1(&rig, &all[2], options.seed),
@@ -150,6 +176,15 @@ pub fn run(options: &StudyOptions, mut progress: impl FnMut(usize, usize)) -> Re
         matrices,
         trials,
     })
+}
+
+/// τ2 of the real experiment, frames.
+const PROTOCOL_DELAYS_FRAMES: [f64; 4] = [1.0 / 3.0, 0.5, 2.0 / 3.0, 1.0];
+
+/// One independent piece of the experiment.
+enum Step {
+    Cell(Cell),
+    Trial(Trial),
 }
 
 /// Table 1: known poses, whole-pixel centres (N3), camera 2 late by the difference, nothing corrected.

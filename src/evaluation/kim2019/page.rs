@@ -37,11 +37,12 @@ pub(super) fn html(study: &Study) -> String {
         "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>Kim et al. 2019, reproduced</title>\
          <style>{STYLE}</style></head><body><h1>Kim et al. 2019, reproduced</h1>\
          <p>IEEE Access 7, doi 10.1109/ACCESS.2019.2953340. Made by <code>pitchd evaluate kim2019</code>; seed {}, \
-         σ_c = {} frame, {} delays per axis, {} trial(s) per delay of the two-camera protocol with {} px and {} frame of \
+         σ_c = {} frame, {} delays per axis, cells of noisy presets the mean of {} draw(s), {} trial(s) per delay of the two-camera protocol with {} px and {} frame of \
          stamp jitter.</p><h2>In short</h2><ul>",
         study.options.seed,
         study.options.capture_sigma_frames,
         study.options.delays_frames.len(),
+        study.options.draws,
         study.options.protocol.trials,
         study.options.protocol.detection_sigma_px,
         study.options.protocol.jitter_frames,
@@ -56,6 +57,7 @@ pub(super) fn html(study: &Study) -> String {
     for (_, picture) in heat_maps(study) {
         page.push_str(&picture);
     }
+    page.push_str(&refusals(study));
     page.push_str(&trials(study));
     page.push_str("<h2>What differs, and why</h2><ol>");
     for reason in DIFFERENCES {
@@ -63,6 +65,27 @@ pub(super) fn html(study: &Study) -> String {
     }
     page.push_str("</ol></body></html>\n");
     page
+}
+
+/// Why joint gave no answer, where it gave none.
+fn refusals(study: &Study) -> String {
+    let mut text = String::new();
+    for matrix in &study.matrices {
+        for cell in &matrix.cells {
+            let [tau2, tau3] = cell.delays_frames;
+            if let Some(reason) = &cell.joint_refusal {
+                let _ = write!(
+                    text,
+                    "<li>{}, τ2 {tau2}, τ3 {tau3}: {reason}</li>",
+                    matrix.preset.name
+                );
+            }
+        }
+    }
+    if text.is_empty() {
+        return text;
+    }
+    format!("<p>joint gave no answer in some draw of these cells:</p><ul>{text}</ul>")
 }
 
 fn table_1(study: &Study) -> String {
