@@ -10,7 +10,7 @@ use crate::geometry::{Pixel, Pose};
 /// Epipolar distance within which two cameras agree in the end, pixels.
 pub(super) const AGREES_PX: f64 = 8.0;
 
-impl Session<'_> {
+impl Session {
     /// The views without the sightings that contradict every other calibrated camera that sees something at
     /// the same time: where two cameras look at different things, neither is worth a point in space.
     pub fn agreeing(&self, state: &State, limit_px: f64) -> Vec<View> {

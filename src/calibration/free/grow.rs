@@ -17,14 +17,15 @@ use crate::geometry::Pose;
 use crate::scene::{ParameterKind as K, RollingShutter};
 
 /// Everything the stages share.
-pub(super) struct Session<'a> {
+pub(super) struct Session {
     pub views: Vec<View>,
     pub paths: Vec<Path>,
     /// Rough offset per camera: stamps + this = rough common time, seconds.
     pub offsets_s: Vec<f64>,
     pub shutters: Vec<RollingShutter>,
     pub focal_sigma: Vec<f64>,
-    pub options: &'a FreeOptions,
+    /// With times in seconds of the session.
+    pub options: FreeOptions,
     /// How far the rough offsets may be off, seconds.
     pub range_s: f64,
 }
@@ -62,7 +63,7 @@ const GROWTH_AGREES_PX: f64 = 15.0;
 /// Sightings of a camera this far apart are enough for that, seconds.
 const THINNED_S: f64 = 0.055;
 
-impl Session<'_> {
+impl Session {
     /// Guesses for every pair of cameras.
     pub fn edges(&self) -> Result<Vec<Edge>, CalibrationError> {
         let mut edges = vec![];

@@ -12,6 +12,7 @@ mod arrow;
 mod finish;
 mod grow;
 mod outcome;
+mod pace;
 mod pair;
 mod path;
 mod problem;
@@ -28,9 +29,10 @@ mod view;
 use nalgebra::Vector2;
 
 use super::CalibrationError;
-use crate::scene::{Calibration, CameraId, Rig, RollingShutter, Track};
+use crate::scene::{Calibration, CameraId, Rig, Track};
 use finish::finish;
 use grow::{Edge, Grown, Session};
+use pace::Pace;
 use path::Path;
 use problem::Distance;
 use view::{Sighting, View};
@@ -235,8 +237,10 @@ fn best_grown(
 }
 
 /// What the stages work on, with the way back to the rig.
-struct Gathered<'a> {
-    session: Session<'a>,
+struct Gathered {
+    session: Session,
+    /// How the session's time runs.
+    pace: Pace,
     /// Index in the rig of every view.
     in_rig: Vec<usize>,
     /// Index of the reference camera among the views.
@@ -246,25 +250,23 @@ struct Gathered<'a> {
     warnings: Vec<String>,
 }
 
-fn gather<'a>(
-    rig: &Rig,
-    tracks: &[Track],
-    options: &'a FreeOptions,
-) -> Result<Gathered<'a>, CalibrationError> {
+fn gather(rig: &Rig, tracks: &[Track], options: &FreeOptions) -> Result<Gathered, CalibrationError> {
     let epoch_ns = tracks
         .iter()
         .filter(|t| t.camera == rig.reference_camera().id)
         .filter_map(|t| t.points.first().map(|p| p.stamped.nanos()))
         .min()
         .ok_or(CalibrationError::NoTracks)?;
+    let pace = Pace::of(tracks, epoch_ns);
+    let options = pace.options(options);
     let mut session = Session {
         views: vec![],
         paths: vec![],
         offsets_s: vec![],
         shutters: vec![],
         focal_sigma: vec![],
-        options,
         range_s: options.shift_range_s,
+        options,
     };
     let (mut in_rig, mut warnings) = (vec![], vec![]);
     for (index, setup) in rig.cameras.iter().enumerate() {
@@ -273,7 +275,7 @@ fn gather<'a>(
             .filter(|t| t.camera == setup.id)
             .flat_map(|t| &t.points)
             .map(|p| Sighting {
-                stamped_s: p.stamped.seconds_since(epoch_ns),
+                stamped_s: pace.0 * p.stamped.seconds_since(epoch_ns),
                 pixel_px: Vector2::new(p.pixel.x, p.pixel.y),
                 sigma_px: p
                     .covariance_px2
@@ -297,14 +299,14 @@ fn gather<'a>(
             height_px: f64::from(setup.height_px.max(1)),
             lens: setup.intrinsics,
         };
-        let offset_s = setup.time_offset_s.unwrap_or(0.0);
+        let offset_s = pace.0 * setup.time_offset_s.unwrap_or(0.0);
         session.paths.push(Path::new(&view, offset_s));
         session.views.push(view);
         session.offsets_s.push(offset_s);
-        session.shutters.push(setup.rolling_shutter);
+        session.shutters.push(pace.shutter(setup.rolling_shutter));
         session.focal_sigma.push(match setup.focal_sigma_relative {
             given if given > 0.0 => given,
-            _ => options.lens.focal_relative,
+            _ => session.options.lens.focal_relative,
         });
         in_rig.push(index);
     }
@@ -322,13 +324,9 @@ fn gather<'a>(
         });
     }
     let distances = distances(rig, &in_rig);
-    for shutter in &mut session.shutters {
-        if *shutter == RollingShutter::Global {
-            *shutter = RollingShutter::ReadoutSeconds(0.0);
-        }
-    }
     Ok(Gathered {
         session,
+        pace,
         in_rig,
         reference,
         distances,

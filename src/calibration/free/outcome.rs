@@ -3,17 +3,22 @@
 use nalgebra::Point3;
 
 use super::finish::Solution;
+use super::pace::Pace;
 use super::{CameraFit, FreeOutcome, Gathered, TrajectorySample};
 use crate::scene::{
     Calibration, CalibrationMethod, CameraCalibration, Parameter, ParameterKind, Rig, WorldFrame,
 };
 use crate::time::NANOS_PER_SECOND;
 
+/// Warned of when less than one point in this many takes part.
+const FEW_SHARED: usize = 5;
 /// Delay sigma above which a warning says so, seconds.
 const WEAK_DELAY_S: f64 = 0.02;
 
 pub(super) fn outcome(rig: &Rig, gathered: &Gathered, solution: &Solution) -> FreeOutcome {
     let mut warnings = gathered.warnings.clone();
+    // Back from the session's seconds to the cameras'.
+    let Pace(pace) = gathered.pace;
     let (mut cameras, mut fits) = (vec![], vec![]);
     for (index, &in_rig) in gathered.in_rig.iter().enumerate() {
         let setup = &rig.cameras[in_rig];
@@ -30,7 +35,7 @@ pub(super) fn outcome(rig: &Rig, gathered: &Gathered, solution: &Solution) -> Fr
             kept,
             outliers,
         });
-        let sigma_s = solution.sigma(index, ParameterKind::CaptureDelay);
+        let sigma_s = solution.sigma(index, ParameterKind::CaptureDelay) / pace;
         if sigma_s > WEAK_DELAY_S {
             warnings.push(format!(
                 "camera {}: delay known to {sigma_s:.3} s only (1σ)",
@@ -38,14 +43,21 @@ pub(super) fn outcome(rig: &Rig, gathered: &Gathered, solution: &Solution) -> Fr
             ));
         }
         let view = &gathered.session.views[index];
+        let (used, all) = (kept + outliers, view.sightings.len());
+        if used < all / FEW_SHARED {
+            warnings.push(format!(
+                "camera {}: another camera sees the thing at the same time in only {used} of its {all} points",
+                setup.id
+            ));
+        }
         cameras.push(CameraCalibration {
             id: setup.id.clone(),
             camera_from_world: state.pose,
-            capture_delay_s: state.delay_s,
+            capture_delay_s: state.delay_s / pace,
             capture_delay_sigma_s: sigma_s,
             clock_skew_ppm: state.skew_ppm,
-            skew_epoch_ns: gathered.epoch_ns + (view.epoch_s * NANOS_PER_SECOND).round() as i64,
-            readout_s: state.readout_s,
+            skew_epoch_ns: gathered.epoch_ns + (view.epoch_s / pace * NANOS_PER_SECOND).round() as i64,
+            readout_s: state.readout_s / pace,
             intrinsics: state.lens,
             width_px: setup.width_px,
             height_px: setup.height_px,
@@ -70,11 +82,7 @@ pub(super) fn outcome(rig: &Rig, gathered: &Gathered, solution: &Solution) -> Fr
                 kind: c.kind,
             })
             .collect(),
-        covariance: solution
-            .covariance
-            .row_iter()
-            .map(|row| row.iter().copied().collect())
-            .collect(),
+        covariance: covariance(solution, pace),
         condition: solution.condition,
         variance_factor: solution.redundancy,
         pitches_used: vec![],
@@ -85,14 +93,30 @@ pub(super) fn outcome(rig: &Rig, gathered: &Gathered, solution: &Solution) -> Fr
         trajectory: trajectory(rig, gathered, solution),
         calibration,
         cameras: fits,
-        shared_s: solution.support.shared_s(),
+        shared_s: solution.support.shared_s() / pace,
         explained_share: explained.least().map_or(0.0, |(_, share)| share),
     }
 }
 
+/// Covariance of the unknowns, times in the cameras' seconds.
+fn covariance(solution: &Solution, pace: f64) -> Vec<Vec<f64>> {
+    let unit = |k: usize| match solution.columns[k].kind {
+        ParameterKind::CaptureDelay | ParameterKind::Readout => 1.0 / pace,
+        _ => 1.0,
+    };
+    let all = &solution.covariance;
+    (0..all.nrows())
+        .map(|r| {
+            (0..all.ncols())
+                .map(|c| unit(r) * unit(c) * all[(r, c)])
+                .collect()
+        })
+        .collect()
+}
+
 /// The motion at the reference camera's frames, its own or (where it sees nothing) counted on from them.
 fn trajectory(rig: &Rig, gathered: &Gathered, solution: &Solution) -> Vec<TrajectorySample> {
-    let period_s = 1.0 / rig.reference_camera().frame_rate_hz;
+    let period_s = gathered.pace.0 / rig.reference_camera().frame_rate_hz;
     let own = &gathered.session.views[gathered.reference].sightings;
     let mut samples = vec![];
     for &(begin_s, end_s) in &solution.support.shared {
@@ -113,7 +137,7 @@ fn sample(gathered: &Gathered, solution: &Solution, t_s: f64) -> TrajectorySampl
     let position: Point3<f64> = solution.state.spline.position(t_s);
     let covariance = solution.position_covariance(t_s);
     TrajectorySample {
-        time_ns: gathered.epoch_ns + (t_s * NANOS_PER_SECOND).round() as i64,
+        time_ns: gathered.epoch_ns + (t_s / gathered.pace.0 * NANOS_PER_SECOND).round() as i64,
         position_m: position.coords.into(),
         sigma_m: std::array::from_fn(|k| covariance[(k, k)].max(0.0).sqrt()),
         cameras: solution.support.seeing(t_s),

@@ -47,8 +47,19 @@ pub(super) struct PairGuess {
     pub common_s: f64,
 }
 
+/// The best pose at one shift of the coarse search.
+struct Coarse {
+    cost: f64,
+    shift_s: f64,
+    pose: Pose,
+    /// Seconds that both see.
+    overlap_s: f64,
+}
+
 /// Truncation of epipolar distances: coarse, then finer as the offset settles, pixels.
 const COARSE_PX: f64 = 10.0;
+/// Shifts with less than this of the longest overlap prove nothing.
+const OVERLAP_SHARE: f64 = 0.25;
 const ANNEALED_PX: [f64; 4] = [12.0, 6.0, 3.0, 3.0];
 
 /// The best guesses, best first, with distinct shifts; empty where the two share too little.
@@ -59,25 +70,29 @@ pub(super) fn search(
 ) -> Result<Vec<PairGuess>, CalibrationError> {
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
     let steps = (options.range_s / options.step_s).ceil() as i32;
-    let mut coarse: Vec<(f64, f64, Pose)> = vec![];
+    let mut coarse: Vec<Coarse> = vec![];
     for k in -steps..=steps {
         let shift_s = f64::from(k) * options.step_s;
-        let pairs = correspondences(
-            first,
-            second,
-            &first.common(second, shift_s, options.points),
-            shift_s,
-        );
+        let (times_s, overlap_s) = first.common(second, shift_s, options.points);
+        let pairs = correspondences(first, second, &times_s, shift_s);
         if pairs.len() < 30 {
             continue;
         }
         if let Some((cost, pose)) = sampled(&pairs, (first, second), options.samples, &mut rng)? {
-            coarse.push((cost, shift_s, pose));
+            coarse.push(Coarse {
+                cost,
+                shift_s,
+                pose,
+                overlap_s,
+            });
         }
     }
-    coarse.sort_by(|a, b| a.0.total_cmp(&b.0));
+    // Where hardly anything overlaps, any pose explains it.
+    let most_s = coarse.iter().map(|c| c.overlap_s).fold(0.0, f64::max);
+    coarse.retain(|c| c.overlap_s > OVERLAP_SHARE * most_s);
+    coarse.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     let mut guesses: Vec<PairGuess> = vec![];
-    for (_, shift_s, pose) in coarse.into_iter().take(8) {
+    for Coarse { shift_s, pose, .. } in coarse.into_iter().take(8) {
         let Some(guess) = settled(first, second, (pose, shift_s), options.points) else {
             continue;
         };
@@ -157,7 +172,7 @@ fn settled(first: &Path, second: &Path, start: (Pose, f64), points: usize) -> Op
     let (mut pose, mut shift_s) = start;
     let mut inverse = SMatrix::<f64, 6, 6>::zeros();
     for limit_px in ANNEALED_PX {
-        let times_s = first.common(second, shift_s, points);
+        let (times_s, _) = first.common(second, shift_s, points);
         let anchor_s = shift_s;
         for _ in 0..6 {
             let (normal, gradient) = linearised(first, second, (&pose, shift_s), &times_s, limit_px);
@@ -223,7 +238,7 @@ fn linearised(
 fn judged(first: &Path, second: &Path, (pose, shift_s): (&Pose, f64), points: usize) -> Option<PairGuess> {
     let limit_px = ANNEALED_PX[ANNEALED_PX.len() - 1];
     let focal = [first.focal_px, second.focal_px];
-    let times_s = first.common(second, shift_s, points);
+    let (times_s, _) = first.common(second, shift_s, points);
     let pairs = correspondences(first, second, &times_s, shift_s);
     if pairs.len() < 30 {
         return None;

@@ -89,10 +89,10 @@ impl Path {
     }
 
     /// Knots spread evenly over the way the image travels (and a little over time), at most `count`, among
-    /// those where `other` is seen at the same time plus `shift_s`.
-    pub fn common(&self, other: &Path, shift_s: f64, count: usize) -> Vec<f64> {
+    /// those where `other` is seen at the same time plus `shift_s`; and the seconds that both see.
+    pub fn common(&self, other: &Path, shift_s: f64, count: usize) -> (Vec<f64>, f64) {
         let mut way = vec![];
-        let mut total = 0.0;
+        let (mut total, mut common_s) = (0.0, 0.0);
         let mut last: Option<&Knot> = None;
         for knot in &self.knots {
             if other.at(knot.time_s + shift_s).is_none() {
@@ -101,6 +101,7 @@ impl Path {
             if let Some(last) = last {
                 let moved = self.focal_px * (knot.direction - last.direction).norm();
                 total += moved.min(60.0) + 2.0 * (knot.time_s - last.time_s).min(0.5);
+                common_s += (knot.time_s - last.time_s).min(BRIDGE_S);
             }
             last = Some(knot);
             way.push((total, knot.time_s));
@@ -114,7 +115,7 @@ impl Path {
                 next = length + step;
             }
         }
-        chosen
+        (chosen, common_s)
     }
 
     /// Times of all knots.

@@ -4,7 +4,7 @@ use super::problem::State;
 use super::view::View;
 
 /// Longest time between two sightings of a camera over which it counts as seeing, seconds.
-const SEEING_S: f64 = 0.5;
+pub(super) const SEEING_S: f64 = 0.5;
 /// Longest stretch without support that one spline bridges, seconds.
 const BRIDGE_S: f64 = 2.0;
 /// Shortest supported stretch worth a piece of spline, seconds.
@@ -87,7 +87,7 @@ pub(super) fn inside(stretches: &[(f64, f64)], t_s: f64) -> bool {
 }
 
 /// Rising instants (to within a rolling shutter) gathered where neighbours are at most `gap_s` apart.
-fn stretches(times_s: impl Iterator<Item = f64>, gap_s: f64) -> Vec<(f64, f64)> {
+pub(super) fn stretches(times_s: impl Iterator<Item = f64>, gap_s: f64) -> Vec<(f64, f64)> {
     let mut found: Vec<(f64, f64)> = vec![];
     for t in times_s {
         match found.last_mut() {

@@ -6,6 +6,7 @@ use super::synthetic::{Scene, Truth};
 use super::{FreeOptions, FreeOutcome, LensSigma, calibrate};
 use crate::calibration::CalibrationError;
 use crate::scene::{DistanceMeasurement, Rig, Track};
+use crate::simulation::{DetectionNoise, Layout, Scenario, simulate_tracks};
 use crate::time::StampedMidpoint;
 
 const EXACT_LENS: LensSigma = LensSigma {
@@ -131,6 +132,27 @@ fn six_cameras_with_outliers_misses_and_a_measured_distance() {
             "camera {k}: readout {found} for {wanted}"
         );
     }
+}
+
+/// Half a second at a time, at twenty times a drone's speed in the image.
+#[test]
+fn pitches_calibrate_as_any_motion_does() {
+    let delays = [0.73, -1.31];
+    let scenario = Scenario::stock(Layout::Three, &delays, 8).with_detection(DetectionNoise::gaussian(0.3));
+    let simulated = simulate_tracks(&scenario).unwrap();
+    let outcome = calibrate(&simulated.rig, &simulated.tracks, &FreeOptions::default()).unwrap();
+    let calibration = &outcome.calibration;
+    assert_eq!(calibration.cameras.len(), 3, "{:?}", calibration.warnings);
+    for (camera, truth) in calibration.cameras.iter().zip(&simulated.truth.cameras) {
+        let miss_frames = (camera.capture_delay_s - truth.capture_delay_s) * 175.0;
+        assert!(
+            miss_frames.abs() < 0.15,
+            "{}: off by {miss_frames} frame",
+            camera.id
+        );
+        assert!(camera.capture_delay_sigma_s * 175.0 < 0.1);
+    }
+    assert!((2.0..6.0).contains(&outcome.shared_s), "{}", outcome.shared_s);
 }
 
 #[test]
