@@ -9,7 +9,7 @@ use std::path::Path;
 use anyhow::{Context, bail};
 
 use crate::emulation::{
-    Drill, Emulator, EmulatorOptions, Faults, Idle, Script, ScriptShape, pattern, session_script,
+    Drill, Emulator, EmulatorOptions, Faults, Idle, Script, ScriptShape, pattern, repeated, session_script,
 };
 use crate::scene::CameraId;
 
@@ -50,6 +50,9 @@ pub struct EmulateArgs {
     /// Unix time at which the source begins, so that several cameras begin together [default: with the first acquisition].
     #[arg(long)]
     pub start_at: Option<f64>,
+    /// Show a session again every so many seconds, longer than it lasts; all of its frames are kept in memory.
+    #[arg(long, value_name = "S")]
+    pub every: Option<f64>,
     /// Before the source begins, between its clips and after its end: what the camera shows.
     #[arg(long, value_enum, default_value_t = Between::Still)]
     pub between: Between,
@@ -134,6 +137,15 @@ fn obey_standard_input(emulator: &Emulator) {
 fn open(args: &EmulateArgs, camera: &CameraId) -> anyhow::Result<(ScriptShape, Script)> {
     let Some(size) = args.source.strip_prefix("pattern:") else {
         let (shape, mut script) = session_script(Path::new(&args.source), camera)?;
+        if let Some(every_s) = args.every {
+            let frames: Vec<_> = script.collect();
+            let lasts_s = frames.last().map_or(0.0, |f| 1e-9 * f.begin_ns as f64);
+            let every = Duration::try_from_secs_f64(every_s)
+                .ok()
+                .filter(|_| every_s > lasts_s)
+                .with_context(|| format!("--every {every_s}: the session lasts {lasts_s:.1} s"))?;
+            return Ok((shape, repeated(frames, every)));
+        }
         // A slow disk must not look like a slow camera: what fits is in memory before the camera answers.
         let most = (args.preload_gib * GIB) as usize / shape.bytes().max(1);
         let ready: Vec<_> = script.by_ref().take(most).collect();

@@ -94,6 +94,7 @@ fn daemon_file(found: &[Found], names: &[String]) -> String {
 rig = \"rig.toml\"
 results = \"/var/lib/pitchd/results\"
 # calibration = \"calibration.json\"   # to begin with; otherwise the first pitches calibrate
+# in_flight = false                    # no estimates while a ball flies
 
 [calibrate]
 first_pitches = 4      # before the first calibration

@@ -53,25 +53,16 @@ pub fn run(args: &RunArgs) -> anyhow::Result<()> {
     notify(&[NotifyState::Stopping]);
     let health = daemon.health().to_vec();
     let recorder = daemon.recorder().clone();
-    let log = daemon.finish();
+    let published = daemon.published().clone();
+    daemon.finish();
     for camera in &health {
         tell_line!("pitchd: {}", camera.line());
     }
     if config.record.mode != RecordMode::Off {
         tell_line!("pitchd: {}", recorder.line());
     }
-    tell_line!(
-        "pitchd: {} pitches, {} lines not taken, latency p50 {} p99 {} ms",
-        log.pitches,
-        log.lines_dropped,
-        in_words(log.latency_quantile_ms(0.5)),
-        in_words(log.latency_quantile_ms(0.99))
-    );
+    tell_line!("pitchd: {}", published.line());
     Ok(())
-}
-
-fn in_words(latency_ms: Option<f64>) -> String {
-    latency_ms.map_or("–".to_owned(), |ms| format!("{ms:.1}"))
 }
 
 fn notify(states: &[NotifyState<'_>]) {
@@ -116,6 +107,7 @@ fn supervise(args: &RunArgs, config: &DaemonConfig, daemon: &Daemon, signals: &m
             for camera in daemon.health() {
                 tracing::info!("{}", camera.line());
             }
+            tracing::info!("{}", daemon.published().line());
         }
         watchdog.feed(daemon);
         std::thread::sleep(Duration::from_millis(50));

@@ -84,6 +84,8 @@ pub struct DaemonConfig {
     pub window_pitches: usize,
     /// New pitches before the next calibration.
     pub recalibrate_every: usize,
+    /// Whether estimates of balls in flight are published.
+    pub in_flight: bool,
     /// What is recorded.
     pub record: RecordConfig,
     /// Cameras, at least one, ids and addresses unique.
@@ -97,6 +99,8 @@ struct DaemonFile {
     calibration: Option<String>,
     #[serde(default = "default_results")]
     results: String,
+    #[serde(default = "default_in_flight")]
+    in_flight: bool,
     #[serde(default)]
     calibrate: CalibrateFile,
     #[serde(default)]
@@ -107,6 +111,10 @@ struct DaemonFile {
 
 fn default_results() -> String {
     "pitchd-results".to_owned()
+}
+
+fn default_in_flight() -> bool {
+    true
 }
 
 #[derive(Deserialize)]
@@ -254,6 +262,7 @@ pub fn parse_daemon(path: &Path, text: &str) -> Result<DaemonConfig, ConfigError
         rig: beside(&file.rig),
         calibration: file.calibration.as_deref().map(beside),
         results: beside(&file.results),
+        in_flight: file.in_flight,
         first_pitches: calibrate.first_pitches.max(1),
         window_pitches: calibrate.window_pitches.max(calibrate.first_pitches.max(1)),
         recalibrate_every: calibrate.every_pitches.max(1),

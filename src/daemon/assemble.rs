@@ -5,14 +5,16 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError};
 
-use super::batch::{BatchOptions, solve_tracks};
+use super::batch::{BatchOptions, solve_tracks, usual_rms_px};
+use super::foresee::CalibrationInUse;
 use super::health::{CameraHealth, CameraState};
+use super::looker::SeenTrack;
 use super::recorder::ClipTrigger;
-use super::watcher::SeenTrack;
-use crate::scene::{Calibration, CameraId, Pitch, Rig, Track, WorldFrame};
-use crate::time::{ArrivalTime, HostClock, SystemClock};
+use crate::flight::is_far_off;
+use crate::scene::{Calibration, CameraId, ParameterKind, Pitch, Rig, Track, WorldFrame};
+use crate::time::{ArrivalTime, StampedMidpoint};
 
 /// When pitches are calibrated from.
 #[derive(Debug, Clone, Copy)]
@@ -32,8 +34,10 @@ pub struct Published {
     pub pitch: Pitch,
     /// What it was solved from.
     pub tracks: Vec<Track>,
-    /// From the arrival of the last frame it needed to here, milliseconds; `None` where it waited for a calibration.
-    pub latency_ms: Option<f64>,
+    /// Arrival of the last frame it needed; `None` where it waited for a calibration.
+    pub complete: Option<ArrivalTime>,
+    /// Exposure midpoint of the last point of it.
+    pub exposed: Option<StampedMidpoint>,
 }
 
 /// Work for the calibration worker.
@@ -51,7 +55,7 @@ pub struct CalibrationAnswer {
 }
 
 /// Clock epoch per camera.
-type Epochs = BTreeMap<CameraId, u32>;
+pub type Epochs = BTreeMap<CameraId, u32>;
 
 /// Tracks this close in time may be one ball: cameras see different parts of a flight.
 const TOGETHER_S: f64 = 0.6;
@@ -86,6 +90,8 @@ pub struct Assembler {
     pub publish: Sender<Published>,
     /// To the keeper of calibrations.
     pub versions: Sender<Calibration>,
+    /// To those who look ahead.
+    pub foresee: Sender<CalibrationInUse>,
 }
 
 /// What the assembler keeps.
@@ -97,6 +103,8 @@ struct Desk {
     since_calibration: usize,
     waiting: bool,
     version: u32,
+    /// Balls since the last calibration that it did not explain.
+    misfits: usize,
 }
 
 impl Assembler {
@@ -107,6 +115,7 @@ impl Assembler {
             numbers: self.numbers_before,
             ..Desk::default()
         };
+        self.tell_calibration();
         loop {
             match tracks.recv_timeout(Duration::from_millis(20)) {
                 Ok(seen) => self.take(seen, &mut desk),
@@ -245,6 +254,11 @@ impl Assembler {
             tracing::debug!("{warning}");
         }
         for mut pitch in batch.pitches {
+            if let Some(why) = misfit(&pitch, &batch.calibration) {
+                desk.misfits += 1;
+                tracing::warn!("a ball is kept back until the next calibration: {why}");
+                continue;
+            }
             desk.numbers += 1;
             let number = desk.numbers;
             let solved = batch.flights.iter().find(|f| f.number == pitch.pitch);
@@ -252,16 +266,14 @@ impl Assembler {
             ball.published = true;
             pitch.pitch = number;
             let complete = ball.tracks.iter().map(|t| t.complete).max();
-            let latency_ms = complete.filter(|_| wait == Wait::Live).map(latency_ms);
-            if self
-                .publish
-                .try_send(Published {
-                    pitch,
-                    tracks,
-                    latency_ms,
-                })
-                .is_err()
-            {
+            let exposed = ball.tracks.iter().filter_map(|t| Some(t.track.span()?.1)).max();
+            let published = Published {
+                pitch,
+                tracks,
+                complete: complete.filter(|_| wait == Wait::Live),
+                exposed: exposed.filter(|_| wait == Wait::Live),
+            };
+            if self.publish.try_send(published).is_err() {
                 tracing::error!(number, "a pitch could not be published: the queue is full");
             }
         }
@@ -296,6 +308,7 @@ impl Assembler {
             None => true,
             Some((_, held)) => {
                 desk.since_calibration >= self.plan.every_pitches
+                    || desk.misfits >= self.plan.first_pitches
                     || epochs
                         .iter()
                         .any(|(c, e)| held.get(c) != Some(e) && shared(c) >= self.plan.first_pitches)
@@ -317,9 +330,18 @@ impl Assembler {
         desk.waiting = self.requests.try_send(request).is_ok();
     }
 
+    fn tell_calibration(&self) {
+        if let Some(in_use) = &self.calibration
+            && let Err(TrySendError::Full(_)) = self.foresee.try_send(in_use.clone())
+        {
+            tracing::error!("balls in flight are not looked at with the new calibration: the queue is full");
+        }
+    }
+
     fn adopt(&mut self, answer: CalibrationAnswer, desk: &mut Desk) {
         desk.waiting = false;
         desk.since_calibration = 0;
+        desk.misfits = 0;
         let Some(calibration) = answer.calibration else {
             tracing::warn!("no new calibration, the last good one stays: {}", answer.reason);
             return;
@@ -330,6 +352,7 @@ impl Assembler {
             tracing::error!("a calibration could not be handed on to be kept");
         }
         self.calibration = Some((calibration, answer.epochs));
+        self.tell_calibration();
         // What could not be solved before is solved now.
         let mut window = std::mem::take(&mut desk.window);
         for ball in window.iter_mut().filter(|b| !b.published) {
@@ -339,14 +362,28 @@ impl Assembler {
     }
 }
 
+/// Slowest and fastest pitch, m/s.
+const SPEED_MPS: [f64; 2] = [10.0, 60.0];
+
+/// Why a ball is no pitch by this calibration although it was solved: nobody should see it before another calibration
+/// has been tried (a camera was kicked, or a clock began anew unnoticed).
+fn misfit(pitch: &Pitch, calibration: &Calibration) -> Option<String> {
+    let speed_mps = pitch.release_speed_mps;
+    if pitch.cameras.len() < 2 {
+        return Some("the points of one camera alone lie on its flight".to_owned());
+    }
+    if !(SPEED_MPS[0]..SPEED_MPS[1]).contains(&speed_mps) {
+        return Some(format!("it would have flown at {speed_mps:.1} m/s"));
+    }
+    let (rms_px, usual_px) = (pitch.reprojection_rms_px, usual_rms_px(calibration));
+    is_far_off(rms_px, usual_px)
+        .then(|| format!("its points lie {rms_px:.1} px off its flight, {usual_px:.2} px are usual"))
+}
+
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Wait {
     Live,
     ForCalibration,
-}
-
-fn latency_ms(complete: ArrivalTime) -> f64 {
-    1e-6 * SystemClock.monotonic().nanos().saturating_sub(complete.nanos()) as f64
 }
 
 /// The calibration worker's thread: one request at a time, never in the way of a pitch.
@@ -382,7 +419,29 @@ pub fn calibrate(rig: &Rig, requests: &Receiver<CalibrationRequest>, answers: &S
     }
 }
 
-/// The epochs that a calibration read from a file holds for: each camera's first.
-pub fn first_epochs(calibration: &Calibration) -> Epochs {
-    calibration.cameras.iter().map(|c| (c.id.clone(), 0)).collect()
+/// A calibration that was read from a file as it holds for live stamps, and for which clock epochs: each camera's first.
+///
+/// Live stamps are on this host's clock, so there is no skew between them; a skew that another session had would move a
+/// delay that is stated hours ago by seconds.
+pub fn from_file(mut calibration: Calibration) -> CalibrationInUse {
+    for camera in &mut calibration.cameras {
+        camera.clock_skew_ppm = 0.0;
+    }
+    let kept: Vec<bool> = calibration
+        .parameters
+        .iter()
+        .map(|p| p.kind != ParameterKind::ClockSkew)
+        .collect();
+    let keep = |row: Vec<f64>| -> Vec<f64> {
+        let kept = row.into_iter().zip(&kept).filter(|(_, kept)| **kept);
+        kept.map(|(value, _)| value).collect()
+    };
+    let rows = std::mem::take(&mut calibration.covariance);
+    let kept_rows = rows.into_iter().zip(&kept).filter(|(_, kept)| **kept);
+    calibration.covariance = kept_rows.map(|(row, _)| keep(row)).collect();
+    calibration
+        .parameters
+        .retain(|p| p.kind != ParameterKind::ClockSkew);
+    let epochs = calibration.cameras.iter().map(|c| (c.id.clone(), 0)).collect();
+    (calibration, epochs)
 }

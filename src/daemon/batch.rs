@@ -146,7 +146,7 @@ pub fn solve_tracks(rig: &Rig, tracks: &[Track], options: &BatchOptions) -> Resu
 }
 
 /// Root mean square reprojection error over all cameras of a calibration, pixels.
-fn usual_rms_px(calibration: &Calibration) -> f64 {
+pub(super) fn usual_rms_px(calibration: &Calibration) -> f64 {
     let points: usize = calibration.cameras.iter().map(|c| c.points).sum();
     let sum: f64 = calibration
         .cameras

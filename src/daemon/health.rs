@@ -57,6 +57,8 @@ pub struct CameraHealth {
     pub processed: AtomicU64,
     /// Frames that detection refused.
     pub refused: AtomicU64,
+    /// Balls that got no second look, because too many came at once.
+    pub balls_lost: AtomicU64,
     /// Tracks of pitched balls.
     pub tracks: AtomicU64,
     /// Times the camera was lost.
@@ -65,6 +67,8 @@ pub struct CameraHealth {
     pub watched_until_ns: AtomicI64,
     /// Of every frame: from arrival of its first packet to the end of detection.
     pub latency: Histogram,
+    /// Of every second look: what it took.
+    pub second_look: Histogram,
 }
 
 impl CameraHealth {
@@ -80,10 +84,12 @@ impl CameraHealth {
             dropped: AtomicU64::new(0),
             processed: AtomicU64::new(0),
             refused: AtomicU64::new(0),
+            balls_lost: AtomicU64::new(0),
             tracks: AtomicU64::new(0),
             losses: AtomicU64::new(0),
             watched_until_ns: AtomicI64::new(i64::MIN),
             latency: Histogram::default(),
+            second_look: Histogram::default(),
         }
     }
     /// Where it stands.
@@ -99,7 +105,7 @@ impl CameraHealth {
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
         format!(
             "{} {:?}: {} frames, {} processed, {} missing ({} incomplete, {} without buffer), {} dropped before detection, \
-             {} refused, {} tracks, lost {} times, arrival to detected {}",
+             {} refused, {} tracks, {} balls not looked at, lost {} times, arrival to detected {}, second look {}",
             self.camera,
             self.state(),
             get(&self.frames),
@@ -110,8 +116,10 @@ impl CameraHealth {
             get(&self.dropped),
             get(&self.refused),
             get(&self.tracks),
+            get(&self.balls_lost),
             get(&self.losses),
             self.latency.in_words(),
+            self.second_look.in_words(),
         )
     }
 }

@@ -3,8 +3,10 @@
 pub mod assemble;
 pub mod batch;
 pub mod clip_disk;
+pub mod foresee;
 pub mod health;
 pub mod histogram;
+pub mod looker;
 pub mod pipeline;
 pub mod publish;
 pub mod recorder;

@@ -1,34 +1,39 @@
 //! The whole daemon on one page: every thread, every queue, who stops whom.
 //!
 //! ```text
-//! cap-<id> ─(1)─► eye-<id> ─┐
-//! cap-<id> ─(1)─► eye-<id> ─┼─(2)─► assemble ─(5)─► publish ─(6)─► print
-//!     …               …     ┘        │    ▲    ─(7)─►   │
-//!                                   (3)  (4)            └─► pitches.jsonl, calibration.json, tracks/
-//!                                    ▼    │
-//!                                   calibrate
+//! cap-<id> ─(1)─► eye-<id> ─(2)─► look-<id> ─┐
+//! cap-<id> ─(1)─► eye-<id> ─(2)─► look-<id> ─┼─(3)─► assemble ─(6)─► publish ─(7)─► print
+//!     …             │   ▲──(12)──   …        ┘        │   ▲   ─(8)─►   │             ▲
+//!                  (13)                              (4) (5)           └─► files    (15)
+//!                   ▼                                 ▼   │                          │
+//!                foresee ◄──────────────(14)──── calibrate ; assemble            foresee
 //!
-//! cap-<id> ─(8)─► record ─(9)─► disk ─► recordings/        assemble ─(10)─► record
+//! cap-<id> ─(9)─► record ─(10)─► disk ─► recordings/        assemble ─(11)─► record
 //! ```
 //!
 //! | thread | takes | gives | queue | when that is full |
 //! |---|---|---|---|---|
 //! | `cap-<id>` | the camera | frames (in place, from its pool) | (1) ¾ of the pool | the frame is dropped, counted as `dropped` |
-//! | `eye-<id>` | frames | tracks of balls | (2) 256 tracks | waits; (1) then drops |
-//! | `assemble` | tracks, (4) | pitches | (5) 64 pitches | the pitch is not published, logged as an error |
-//! | | | requests | (3) 1 request | asked again with the next pitch |
-//! | | | calibrations | (7) 8 | logged as an error; the calibration is used all the same |
-//! | `calibrate` | requests | answers | (4) 1 answer | waits |
-//! | `publish` | pitches | file, lines | (6) 64 lines | the line is dropped, counted |
-//! | `cap-<id>` | | frames, the same memory | (8) 64 frames | the frame is not recorded, counted |
-//! | `record` | (8), (10) | clips | (9) 4 clips, or 64 frames of a continuous recording | the clip or frame is lost, counted |
-//! | `assemble` | | balls to cut out | (10) 16 | the clip is lost, logged as an error |
-//! | `disk` | (9) | session folders | – | blocks alone |
+//! | `eye-<id>` | frames | balls whose paths have ended | (2) 64 | the ball is lost, counted, logged as an error |
+//! | | | balls in flight | (13) 64 | dropped: the next frame tells again |
+//! | `look-<id>` | balls | tracks of pitched balls | (3) 256 tracks | waits; (2) then loses balls |
+//! | | | what it found, for the eye | (12) 4 | dropped: the next ball tells again |
+//! | `assemble` | tracks, (5) | pitches | (6) 64 pitches | the pitch is not published, logged as an error |
+//! | | | requests | (4) 1 request | asked again with the next pitch |
+//! | | | calibrations | (8) 8, (14) 4 | logged as an error; the calibration is used all the same |
+//! | | | balls to cut out | (11) 16 | the clip is lost, logged as an error |
+//! | `calibrate` | requests | answers | (5) 1 answer | waits |
+//! | `foresee` | balls in flight | estimates, as lines | (15) 8 lines | the line is dropped, counted |
+//! | `publish` | pitches | files, lines | (7) 64 lines | the line is dropped, counted |
+//! | `cap-<id>` | | frames, the same memory | (9) 64 frames | the frame is not recorded, counted |
+//! | `record` | (9), (11) | clips | (10) 4 clips, or 64 frames of a continuous recording | the clip or frame is lost, counted |
+//! | `disk` | (10) | session folders | – | blocks alone |
 //! | `print` | lines | standard output | – | blocks alone |
 //!
-//! Stopping is closing: capture threads stop, each closes its queue, and the end travels downstream in the order
-//! frames do; a pitch in flight is finished on the way.
+//! No thread that handles frames ever waits for one that fits or solves. Stopping is closing: capture threads stop, each
+//! closes its queue, and the end travels downstream in the order frames do; a pitch in flight is finished on the way.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
@@ -37,12 +42,14 @@ use crossbeam_channel::{Sender, bounded};
 
 use super::assemble::{self, Assembler, CalibrationPlan};
 use super::clip_disk::ClipDisk;
+use super::foresee::{Foresee, InFlight};
 use super::health::CameraHealth;
-use super::publish::{self, PublishLog};
+use super::looker::{self, SeenTrack};
+use super::publish::{self, PublishHealth};
 use super::recorder::{ClipTrigger, RecordedLive, Recorder, RecorderHealth};
 use super::supervise::Supervisor;
-use super::watcher::{self, SeenTrack};
-use crate::capture::aravis::{CameraAddress, LiveOptions, PacketPath, Ptp};
+use super::watcher::{self, EyeChannels, LOOK_QUEUE};
+use crate::capture::aravis::{CameraAddress, LiveOptions, PacketPath, Ptp, make_this_thread_realtime};
 use crate::config::{CameraConnection, DaemonConfig, RecordMode};
 use crate::eye::EyeConfig;
 use crate::scene::{Calibration, Rig};
@@ -75,8 +82,8 @@ pub struct Daemon {
     stop: Arc<AtomicBool>,
     health: Vec<Arc<CameraHealth>>,
     recorder: Arc<RecorderHealth>,
+    published: Arc<PublishHealth>,
     threads: Vec<JoinHandle<()>>,
-    publisher: JoinHandle<PublishLog>,
 }
 
 /// Makes every queue and starts every thread.
@@ -96,12 +103,16 @@ pub fn start(
     let (pitches_in, pitches) = bounded(64);
     let (versions_in, versions) = bounded(8);
     let (lines_in, lines) = bounded::<String>(64);
+    let (estimates_in, estimates) = bounded::<String>(8);
+    let (news_in, news) = bounded::<InFlight>(64);
+    let (in_use_in, in_use) = bounded(4);
+    let published = Arc::new(PublishHealth::default());
 
     let rig = with_stamps_roughly_alike(rig);
     let recorder = Arc::new(RecorderHealth::default());
     let record = start_recorder(config, &recorder, &mut threads)?;
     let mut health = Vec::new();
-    let mut captures = Vec::new();
+    let (mut captures, mut trackers) = (Vec::new(), BTreeMap::new());
     for connection in &config.cameras {
         let options = live_options(config, connection, &rig)?;
         let own = Arc::new(CameraHealth::new(connection.id.clone()));
@@ -116,23 +127,47 @@ pub fn start(
             health: own.clone(),
             stop: stop.clone(),
         };
-        captures.push((format!("cap-{}", connection.id), supervisor));
+        let priority = connection.realtime_priority;
+        let name = format!("cap-{}", connection.id);
+        captures.push(((name, below(priority, Urgency::Capture)), supervisor));
+        let (look_in, look) = bounded(LOOK_QUEUE);
+        let (steps_in, steps) = bounded(4);
         let eye = EyeConfig::of_rig(&rig, &connection.id);
-        let (eye_health, eye_tracks): (_, Sender<SeenTrack>) = (own.clone(), tracks_in.clone());
-        threads.push(named(format!("eye-{}", connection.id), move || {
-            watcher::watch(&frames, &eye_tracks, &eye, &eye_health);
+        trackers.insert(connection.id.clone(), eye.tracker.clone());
+        let channels = EyeChannels {
+            look: look_in,
+            in_flight: config.in_flight.then(|| news_in.clone()),
+            steps,
+        };
+        let (eye_health, second_eye) = (own.clone(), eye.clone());
+        let name = format!("eye-{}", connection.id);
+        threads.push(urgent((name, below(priority, Urgency::Eye)), move || {
+            watcher::watch(&frames, &channels, &eye, &eye_health);
+        })?);
+        let (look_health, look_tracks) = (own.clone(), tracks_in.clone());
+        let name = format!("look-{}", connection.id);
+        threads.push(urgent((name, below(priority, Urgency::Solve)), move || {
+            looker::look(&look, (&look_tracks, &steps_in), &second_eye, &look_health);
         })?);
         health.push(own);
     }
-    drop(tracks_in);
+    drop((tracks_in, news_in));
+    let foresee = Foresee {
+        rig: rig.clone(),
+        trackers,
+        lines: estimates_in,
+        health: published.clone(),
+    };
+    let priorities = config.cameras.iter().map(|c| c.realtime_priority);
+    let solving = priorities.max().and_then(|most| below(most, Urgency::Solve));
+    threads.push(urgent(("foresee".into(), solving), move || {
+        foresee.run(&news, &in_use)
+    })?);
 
     let assembler = Assembler {
         rig: rig.clone(),
         numbers_before: publish::last_number(&config.results),
-        calibration: calibration.map(|c| {
-            let epochs = assemble::first_epochs(&c);
-            (c, epochs)
-        }),
+        calibration: calibration.map(assemble::from_file),
         plan: CalibrationPlan {
             first_pitches: config.first_pitches,
             window_pitches: config.window_pitches,
@@ -143,28 +178,29 @@ pub fn start(
         clips: record.map(|(_, clips)| clips),
         publish: pitches_in,
         versions: versions_in,
+        foresee: in_use_in,
     };
-    threads.push(named("assemble".into(), move || {
+    threads.push(urgent(("assemble".into(), solving), move || {
         assembler.run(&tracks, &answers)
     })?);
     threads.push(named("calibrate".into(), move || {
         assemble::calibrate(&rig, &requests, &answers_in);
     })?);
-    threads.push(named("print".into(), move || publish::print(&lines))?);
-    let folder = config.results.clone();
-    let publisher = spawn("publish".into(), move || {
-        publish::publish(&folder, &pitches, &versions, &lines_in)
-    })?;
+    threads.push(named("print".into(), move || publish::print(&lines, &estimates))?);
+    let (folder, publish_health) = (config.results.clone(), published.clone());
+    threads.push(urgent(("publish".into(), solving), move || {
+        publish::publish(&folder, &pitches, &versions, (&lines_in, &publish_health));
+    })?);
     // Cameras last: everything downstream is ready for their first frame.
     for (name, supervisor) in captures {
-        threads.push(named(name, move || supervisor.run())?);
+        threads.push(urgent(name, move || supervisor.run())?);
     }
     Ok(Daemon {
         stop,
         health,
         recorder,
+        published,
         threads,
-        publisher,
     })
 }
 
@@ -179,25 +215,25 @@ impl Daemon {
         &self.recorder
     }
 
+    /// What has been published.
+    pub fn published(&self) -> &Arc<PublishHealth> {
+        &self.published
+    }
+
     /// Asks every camera to stop; what they have sent is finished.
     pub fn request_stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
     }
 
-    /// Stops, waits for the last pitch, and tells what was published.
-    pub fn finish(self) -> PublishLog {
+    /// Stops and waits for the last pitch.
+    pub fn finish(self) {
         self.request_stop();
-        let Self {
-            threads, publisher, ..
-        } = self;
-        let log = publisher.join().unwrap_or_default();
-        for thread in threads {
+        for thread in self.threads {
             // `print` may be blocked by a reader that stands still: it is left to the process's end.
             if thread.thread().name() != Some("print") && thread.join().is_err() {
                 tracing::error!("a thread ended by a panic");
             }
         }
-        log
     }
 }
 
@@ -239,16 +275,37 @@ fn frames_recorded(config: &DaemonConfig, frame_bytes: usize) -> usize {
     }
 }
 
-fn spawn<T: Send + 'static>(
-    name: String,
-    work: impl FnOnce() -> T + Send + 'static,
-) -> Result<JoinHandle<T>, DaemonError> {
+fn named(name: String, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, DaemonError> {
     let thread = std::thread::Builder::new().name(name.clone()).spawn(work);
     thread.map_err(|source| DaemonError::Thread { name, source })
 }
 
-fn named(name: String, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, DaemonError> {
-    spawn(name, work)
+/// As [`named`], real-time where the system allows it.
+fn urgent(
+    (name, priority): (String, Option<u8>),
+    work: impl FnOnce() + Send + 'static,
+) -> Result<JoinHandle<()>, DaemonError> {
+    named(name.clone(), move || {
+        if let Some(priority) = priority
+            && !make_this_thread_realtime(priority)
+        {
+            tracing::debug!(name, "stays an ordinary thread");
+        }
+        work();
+    })
+}
+
+/// Priorities below a camera's receive thread: a frame is taken before it is searched, and searched before anything is
+/// fitted. Another program's load then delays none of them; `calibrate`, `record`, `disk` and `print` can wait.
+#[derive(Clone, Copy)]
+enum Urgency {
+    Capture = 1,
+    Eye = 2,
+    Solve = 4,
+}
+
+fn below(priority: u8, urgency: Urgency) -> Option<u8> {
+    (priority > 0).then(|| priority.saturating_sub(urgency as u8).max(1))
 }
 
 /// Live stamps are all on the host's clock: what is left between cameras is a transfer time of some milliseconds.

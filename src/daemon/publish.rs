@@ -1,36 +1,76 @@
-//! The publisher's thread: each pitch as one line of JSON, to a file and to standard output.
+//! The publisher's thread: each pitch as one line of JSON, to a file and to standard output; and the printer's.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use crossbeam_channel::{Receiver, Sender, TrySendError};
 
 use super::assemble::Published;
+use super::histogram::Histogram;
 use crate::export::results;
 use crate::recording::{append_track, read_track_file};
-use crate::scene::{Calibration, CameraId, Track};
+use crate::scene::{Calibration, CameraId, Outlook, Track};
+use crate::time::{HostClock, SystemClock};
 
-/// What was published and how late.
-#[derive(Debug, Clone, Default)]
-pub struct PublishLog {
-    /// Pitches written to the file.
-    pub pitches: u64,
+/// What was published and how late, for anyone to read.
+#[derive(Debug, Default)]
+pub struct PublishHealth {
+    /// Pitches published.
+    pub pitches: AtomicU64,
+    /// Estimates of balls in flight.
+    pub estimates: AtomicU64,
     /// Lines that a slow reader of standard output did not take.
-    pub lines_dropped: u64,
-    /// From the arrival of the last frame needed to publication, milliseconds, of the pitches that waited for nothing.
-    pub latency_ms: Vec<f64>,
+    pub lines_dropped: AtomicU64,
+    /// From the arrival of the last frame that a pitch needed to its publication; pitches that waited for a calibration
+    /// are not in it.
+    pub since_needed: Histogram,
+    /// From the exposure midpoint of a pitch's last point to its publication.
+    pub since_exposure: Histogram,
+    /// From the exposure midpoint of an estimate's newest point to its publication.
+    pub estimate_age: Histogram,
+    /// From the arrival of the newest frame to the estimate's publication.
+    pub estimate_latency: Histogram,
 }
 
-impl PublishLog {
-    /// A quantile of the latency; `None` without pitches.
-    pub fn latency_quantile_ms(&self, share: f64) -> Option<f64> {
-        let mut sorted = self.latency_ms.clone();
-        sorted.sort_by(f64::total_cmp);
-        let last = sorted.len().checked_sub(1)?;
-        sorted.get((share * last as f64).round() as usize).copied()
+impl PublishHealth {
+    /// One line for people.
+    pub fn line(&self) -> String {
+        let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
+        format!(
+            "{} pitches, last needed frame to published {}, last exposure to published {}; {} estimates in flight, \
+             newest frame to published {}, newest exposure to published {}; {} lines not taken",
+            get(&self.pitches),
+            self.since_needed.in_words(),
+            self.since_exposure.in_words(),
+            get(&self.estimates),
+            self.estimate_latency.in_words(),
+            self.estimate_age.in_words(),
+            get(&self.lines_dropped),
+        )
     }
+}
+
+/// A line about a ball in flight.
+#[derive(serde::Serialize)]
+struct InFlightLine<'a> {
+    /// Number of the flight in this run.
+    in_flight: u32,
+    calibration_version: u32,
+    #[serde(flatten)]
+    outlook: &'a Outlook,
+}
+
+/// The line that tells of a ball in flight.
+pub fn in_flight_line(outlook: &Outlook, flight: u32, calibration_version: u32) -> Option<String> {
+    let line = InFlightLine {
+        in_flight: flight,
+        calibration_version,
+        outlook,
+    };
+    serde_json::to_string(&line).ok().map(|text| text + "\n")
 }
 
 /// Writes pitches and calibrations until both end. The file comes first; a stalled reader of standard output costs
@@ -39,14 +79,13 @@ pub fn publish(
     folder: &Path,
     pitches: &Receiver<Published>,
     versions: &Receiver<Calibration>,
-    lines: &Sender<String>,
-) -> PublishLog {
-    let mut log = PublishLog::default();
+    (lines, health): (&Sender<String>, &PublishHealth),
+) {
     let mut keeper = Keeper::new(folder);
     loop {
         crossbeam_channel::select! {
             recv(pitches) -> published => match published {
-                Ok(published) => keeper.keep(&published, lines, &mut log),
+                Ok(published) => keeper.keep(&published, lines, health),
                 Err(_) => break,
             },
             recv(versions) -> calibration => {
@@ -59,7 +98,6 @@ pub fn publish(
     for calibration in versions.try_iter() {
         keeper.keep_calibration(&calibration);
     }
-    log
 }
 
 /// Number of the last pitch in a results folder; 0 without one.
@@ -99,7 +137,7 @@ impl Keeper {
         file.sync_data()
     }
 
-    fn keep(&mut self, published: &Published, lines: &Sender<String>, log: &mut PublishLog) {
+    fn keep(&mut self, published: &Published, lines: &Sender<String>, health: &PublishHealth) {
         let line = match results::jsonl(std::slice::from_ref(&published.pitch)) {
             Ok(line) => line,
             Err(error) => {
@@ -108,14 +146,19 @@ impl Keeper {
             }
         };
         if let Err(TrySendError::Full(_)) = lines.try_send(line.clone()) {
-            log.lines_dropped += 1;
+            health.lines_dropped.fetch_add(1, Ordering::Relaxed);
         }
-        log.latency_ms.extend(published.latency_ms);
-        log.pitches += 1;
+        let now_ns = SystemClock.monotonic().nanos();
+        let since_s = |at_ns: i64| 1e-9 * now_ns.saturating_sub(at_ns) as f64;
+        let needed_s = published.complete.map(|at| since_s(at.nanos()));
+        let exposed_s = published.exposed.map(|at| since_s(at.nanos()));
+        needed_s.iter().for_each(|s| health.since_needed.add_s(*s));
+        exposed_s.iter().for_each(|s| health.since_exposure.add_s(*s));
+        health.pitches.fetch_add(1, Ordering::Relaxed);
         tracing::info!(
             pitch = published.pitch.pitch,
             speed_mps = published.pitch.release_speed_mps,
-            latency_ms = published.latency_ms,
+            since_last_frame_ms = needed_s.map(|s| 1e3 * s),
             "pitch"
         );
         if let Err(error) = self.append(&line) {
@@ -161,9 +204,24 @@ impl Keeper {
     }
 }
 
-/// Prints lines until they end; blocks when nobody reads, and then only itself.
-pub fn print(lines: &Receiver<String>) {
-    for line in lines {
+/// Prints lines until pitches end, pitches before estimates; blocks when nobody reads, and then only itself.
+pub fn print(pitches: &Receiver<String>, estimates: &Receiver<String>) {
+    let mut estimates = Some(estimates);
+    loop {
+        let never = crossbeam_channel::never();
+        let line = crossbeam_channel::select_biased! {
+            recv(pitches) -> line => match line {
+                Ok(line) => line,
+                Err(_) => return,
+            },
+            recv(estimates.unwrap_or(&never)) -> line => match line {
+                Ok(line) => line,
+                Err(_) => {
+                    estimates = None;
+                    continue;
+                }
+            },
+        };
         let mut out = std::io::stdout().lock();
         if out.write_all(line.as_bytes()).and_then(|()| out.flush()).is_err() {
             return;

@@ -1,4 +1,6 @@
-//! One camera's detection thread: live frames in, tracks of pitched balls out.
+//! One camera's eye thread: every live frame searched as it comes; balls whose paths have ended, and balls in flight, out.
+//!
+//! Nothing here waits: what is dear (fitting centres, solving flights) is other threads' work.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -6,38 +8,41 @@ use std::sync::atomic::Ordering;
 
 use crossbeam_channel::{Receiver, Sender};
 
+use super::foresee::InFlight;
 use super::health::CameraHealth;
+use super::looker::{BallToLookAt, ToLook};
 use crate::capture::aravis::LiveFrame;
-use crate::eye::{CameraEye, EyeConfig};
-use crate::scene::Track;
+use crate::eye::{BallStep, EndedBall, EyeConfig, FirstLook};
 use crate::time::{ArrivalTime, ClockLine, HostClock, StampedMidpoint, SystemClock};
 
-/// A track as it leaves its camera.
-#[derive(Debug, Clone)]
-pub struct SeenTrack {
-    /// The track; its number is unique within the camera and this run.
-    pub track: Track,
-    /// Epoch of the camera's clock: another one, another delay.
-    pub clock_epoch: u32,
-    /// When the last frame that it needed had arrived.
-    pub complete: ArrivalTime,
+/// Where an eye's thread sends what it finds.
+pub struct EyeChannels {
+    /// Ended balls, to this camera's second look.
+    pub look: Sender<ToLook>,
+    /// Balls in flight; `None` where nobody asks.
+    pub in_flight: Option<Sender<InFlight>>,
+    /// What the second look has found of this camera's balls.
+    pub steps: Receiver<BallStep>,
 }
+
+/// Places in the queue to the second look that are kept for balls: news of how far has been watched may be missed.
+const PLACES_FOR_BALLS: usize = 48;
 
 /// Runs until the frames end; then what was still open is decided and the end goes on downstream.
 pub fn watch(
     frames: &Receiver<LiveFrame>,
-    tracks: &Sender<SeenTrack>,
+    channels: &EyeChannels,
     eye: &EyeConfig,
     health: &Arc<CameraHealth>,
 ) {
     let mut watcher = Watcher {
-        tracks,
+        channels,
         health,
         watching: None,
-        numbers: 0,
         last_arrival: ArrivalTime::from_nanos(0),
-        recent: VecDeque::new(),
+        recent: VecDeque::with_capacity(RECENT),
         clock: None,
+        in_flight: false,
     };
     for live in frames {
         watcher.take(&live, eye);
@@ -46,15 +51,16 @@ pub fn watch(
 }
 
 struct Watcher<'a> {
-    tracks: &'a Sender<SeenTrack>,
+    channels: &'a EyeChannels,
     health: &'a CameraHealth,
     /// The eye, and the epoch of the clock that its frames are stamped by.
-    watching: Option<(CameraEye, u32)>,
-    numbers: u32,
+    watching: Option<(FirstLook, u32)>,
     last_arrival: ArrivalTime,
     /// The latest frames: number, stamp, device time by the clock model.
     recent: VecDeque<(u64, StampedMidpoint, Option<i64>)>,
     clock: Option<ClockLine>,
+    /// Whether balls in flight were told of with the last frame.
+    in_flight: bool,
 }
 
 /// Frames that a track may reach back.
@@ -82,9 +88,12 @@ impl Watcher<'_> {
         self.last_arrival = frame.stamp.arrival.unwrap_or(self.last_arrival);
         let (eye, _) = self.watching.get_or_insert_with(|| {
             let camera = self.health.camera.clone();
-            let new = CameraEye::new(camera, config.clone(), frame.width_px, frame.height_px);
+            let new = FirstLook::new(camera, config, frame.width_px, frame.height_px);
             (new, live.clock_epoch)
         });
+        for step in self.channels.steps.try_iter() {
+            eye.adapt(step);
+        }
         match eye.push(frame) {
             Ok(()) => self.health.processed.fetch_add(1, Ordering::Relaxed),
             Err(error) => {
@@ -97,7 +106,8 @@ impl Watcher<'_> {
             .nanos()
             .saturating_sub(self.last_arrival.nanos());
         self.health.latency.add_s(1e-9 * late_ns as f64);
-        self.send();
+        self.tell_of_flights();
+        self.hand_on();
         self.tell_how_far();
     }
 
@@ -105,59 +115,83 @@ impl Watcher<'_> {
         if let Some((eye, _)) = &mut self.watching {
             eye.finish();
         }
-        self.send();
+        self.hand_on();
         self.watching = None;
     }
 
-    /// Only after the tracks have gone: whoever reads this will find them in the queue. The eye answers some frames
-    /// late, and after a pause it tells of what was before only then.
+    /// The balls in flight, and once that there are none any more.
+    fn tell_of_flights(&mut self) {
+        let (Some(in_flight), Some((eye, clock_epoch))) = (&self.channels.in_flight, &self.watching) else {
+            return;
+        };
+        let paths = eye.open();
+        if paths.is_empty() && !self.in_flight {
+            return;
+        }
+        self.in_flight = !paths.is_empty();
+        // A queue that is full holds news older than this frame's: the next frame tells again.
+        let _ = in_flight.try_send(InFlight {
+            camera: self.health.camera.clone(),
+            clock_epoch: *clock_epoch,
+            arrived: self.last_arrival,
+            paths,
+        });
+    }
+
+    /// Only after the balls have gone: whoever hears this will have had them. The eye answers some frames late, and
+    /// after a pause it tells of what was before only then.
     fn tell_how_far(&self) {
         let Some((eye, _)) = &self.watching else { return };
         let behind = 3 * eye.lag_frames() + 2;
         let settled = self.recent.len().checked_sub(behind);
-        if let Some((_, stamped, _)) = settled.and_then(|k| self.recent.get(k)) {
-            self.health
-                .watched_until_ns
-                .store(stamped.nanos(), Ordering::Release);
+        if let Some((_, stamped, _)) = settled.and_then(|k| self.recent.get(k))
+            && self.channels.look.len() + PLACES_FOR_BALLS < LOOK_QUEUE
+        {
+            let _ = self.channels.look.try_send(ToLook::WatchedUntil(*stamped));
         }
     }
 
-    fn send(&mut self) {
+    fn hand_on(&mut self) {
         let Some((eye, clock_epoch)) = &mut self.watching else {
             return;
         };
         let clock_epoch = *clock_epoch;
-        for mut track in eye.drain_pitches() {
-            track.track = self.numbers;
-            self.numbers += 1;
-            if let Some(clock) = &self.clock {
-                stamp_by_one_line(&mut track, &self.recent, clock);
+        for ended in eye.drain() {
+            if ended.cut_outs.is_none() {
+                tracing::debug!(camera = %self.health.camera, kind = ?ended.ball.kind, "moved");
+                continue;
             }
-            self.health.tracks.fetch_add(1, Ordering::Relaxed);
-            let seen = SeenTrack {
-                track,
+            let ball = BallToLookAt {
+                stamps: stamps_by_one_line(&ended, &self.recent, self.clock.as_ref()),
+                ended,
                 clock_epoch,
                 complete: self.last_arrival,
             };
-            // A dozen tracks a minute into a queue of 256: full only when the assembler is gone.
-            if self.tracks.send(seen).is_err() {
-                tracing::error!(camera = %self.health.camera, "a track found nobody to take it");
+            if self.channels.look.try_send(ToLook::Ball(Box::new(ball))).is_err() {
+                self.health.balls_lost.fetch_add(1, Ordering::Relaxed);
+                tracing::error!(camera = %self.health.camera, "a ball was not looked at again: too many at once");
             }
         }
     }
 }
 
-/// The clock model learns with every frame, and a young one moves while the ball flies: all points of a track are
-/// stamped anew by the model as it stands at the track's end.
-fn stamp_by_one_line(
-    track: &mut Track,
+/// Places in the queue to the second look.
+pub const LOOK_QUEUE: usize = 64;
+
+/// The clock model learns with every frame, and a young one moves while the ball flies: all points of a track get
+/// stamps by the model as it stands at the track's end.
+fn stamps_by_one_line(
+    ended: &EndedBall,
     recent: &VecDeque<(u64, StampedMidpoint, Option<i64>)>,
-    clock: &ClockLine,
-) {
-    for point in &mut track.points {
-        let at = recent.binary_search_by_key(&point.frame, |(frame, _, _)| *frame);
-        if let Some((_, _, Some(device_ns))) = at.ok().and_then(|k| recent.get(k)) {
-            point.stamped = clock.stamped(*device_ns);
-        }
-    }
+    clock: Option<&ClockLine>,
+) -> Vec<(u64, StampedMidpoint)> {
+    let Some(clock) = clock else { return Vec::new() };
+    let points = ended.ball.track.points.iter();
+    points
+        .filter_map(|point| {
+            let at = recent.binary_search_by_key(&point.frame, |(frame, _, _)| *frame);
+            let (_, _, device_ns) = recent.get(at.ok()?)?;
+            Some((point.frame, clock.stamped((*device_ns)?)))
+        })
+        .collect()
 }

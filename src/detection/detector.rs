@@ -9,7 +9,6 @@ use super::history::History;
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::movers::MoverSearch;
 use super::patches::PatchPool;
-use super::refine::{BlurChoice, Refinement, refine};
 use super::regions::{REGION_TILES, RegionNoise};
 use super::tiles::TileMap;
 use crate::geometry::Pixel;
@@ -102,7 +101,6 @@ pub struct Detector {
     expected: Vec<ExpectedBall>,
     detections: Vec<Detection>,
     patches: PatchPool,
-    blur: BlurChoice,
     counters: DetectorCounters,
 }
 
@@ -132,7 +130,6 @@ impl Detector {
             found: Vec::with_capacity(1024),
             expected: Vec::with_capacity(64),
             patches: PatchPool::new(config.patch_bytes),
-            blur: BlurChoice::default(),
             detections: Vec::with_capacity(config.candidates_max + 1),
             counters: DetectorCounters::default(),
             config,
@@ -195,11 +192,9 @@ impl Detector {
         self.lag = self.next_lag;
     }
 
-    /// The second look: replaces the centroids of a track of this detector's candidates by centres fitted to the
-    /// kept cut-outs. Points whose cut-out is gone or does not look like the ball keep their centroid and its
-    /// larger covariance. `None`: too few cut-outs, nothing changed.
-    pub fn refine(&mut self, track: &mut Track) -> Option<Refinement> {
-        refine(&self.patches, self.config.exposure_s, &mut self.blur, track)
+    /// Copies of the cut-outs kept for the points of a track, for the second look ([`super::Refiner`]).
+    pub fn cut_outs(&self, track: &Track) -> PatchPool {
+        self.patches.of_track(track)
     }
 
     /// Chooses the lag for a ball that moves at least this far between frames and covers this length along its

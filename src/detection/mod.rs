@@ -33,4 +33,5 @@ pub use config::{DetectorConfig, PixelRect};
 pub use detector::{Answers, Detector, DetectorCounters, ExpectedBall};
 pub use dispatch::{Isa, Kernels};
 pub use error::DetectionError;
-pub use refine::Refinement;
+pub use patches::PatchPool as CutOuts;
+pub use refine::{Refinement, Refiner};

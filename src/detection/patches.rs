@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 
 use super::blobs::{Blob, Images};
 use crate::geometry::Pixel;
-use crate::scene::Detection;
+use crate::scene::{Detection, Track};
 use crate::time::StampedMidpoint;
 
 /// Pixels around a blob's box that are kept too.
@@ -61,11 +61,25 @@ pub struct PatchPool {
 }
 
 impl PatchPool {
-    /// An arena of this many bytes.
+    /// An arena of this many bytes. All of it is written to now: pages that come one by one through the first
+    /// innings look like a leak.
     pub fn new(capacity_bytes: usize) -> Self {
+        let unused = Header {
+            stamped: StampedMidpoint::from_nanos(0),
+            centre: Pixel::new(0.0, 0.0),
+            left: 0,
+            top: 0,
+            width: 0,
+            height: 0,
+            offset: 0,
+            difference_sigma: 0.0,
+            radius_px: 0.0,
+        };
+        let mut headers = VecDeque::from(vec![unused; capacity_bytes / 512]);
+        headers.clear();
         Self {
-            bytes: vec![0; capacity_bytes],
-            headers: VecDeque::with_capacity(capacity_bytes / 512),
+            bytes: vec![u8::MAX; capacity_bytes],
+            headers,
             next: 0,
         }
     }
@@ -125,14 +139,39 @@ impl PatchPool {
         });
     }
 
-    /// The cut-out kept under this stamp and centre, if it is still there.
-    pub fn find(&self, stamped: StampedMidpoint, centre: Pixel) -> Option<Patch<'_>> {
+    /// A pool of its own with the cut-outs of this track's points: what a second look on another thread needs.
+    pub fn of_track(&self, track: &Track) -> Self {
+        let headers = track
+            .points
+            .iter()
+            .filter_map(|p| self.header(p.stamped, p.pixel));
+        let mut own = Self {
+            bytes: Vec::new(),
+            headers: VecDeque::with_capacity(track.points.len()),
+            next: 0,
+        };
+        for header in headers {
+            let offset = own.bytes.len();
+            let end = header.offset + 3 * header.width * header.height;
+            own.bytes
+                .extend_from_slice(self.bytes.get(header.offset..end).unwrap_or_default());
+            own.headers.push_back(Header { offset, ..*header });
+        }
+        own.next = own.bytes.len();
+        own
+    }
+
+    fn header(&self, stamped: StampedMidpoint, centre: Pixel) -> Option<&Header> {
         let first = self.headers.partition_point(|h| h.stamped < stamped);
-        let header = self
-            .headers
+        self.headers
             .range(first..)
             .take_while(|h| h.stamped == stamped)
-            .find(|h| h.centre == centre)?;
+            .find(|h| h.centre == centre)
+    }
+
+    /// The cut-out kept under this stamp and centre, if it is still there.
+    pub fn find(&self, stamped: StampedMidpoint, centre: Pixel) -> Option<Patch<'_>> {
+        let header = self.header(stamped, centre)?;
         let size = header.width * header.height;
         let all = self.bytes.get(header.offset..header.offset + 3 * size)?;
         let (current, references) = all.split_at(size);

@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 
+use super::config::DetectorConfig;
 use super::disc::Edge;
 use super::fit::{FittedCentre, Picture, PictureStart, Shared, fit_centre, fit_shared};
 use super::patches::PatchPool;
@@ -101,8 +102,31 @@ impl BlurChoice {
     }
 }
 
-/// Refines a track in place.
-pub fn refine(
+/// The second look: replaces the centroids of a track of a detector's candidates by centres fitted to the cut-outs
+/// that the detector has kept ([`super::Detector::cut_outs`]). It may be another thread's work.
+#[derive(Debug, Clone)]
+pub struct Refiner {
+    exposure_s: Option<f64>,
+    blur: BlurChoice,
+}
+
+impl Refiner {
+    /// A refiner for the tracks of one camera's detector.
+    pub fn new(config: &DetectorConfig) -> Self {
+        Self {
+            exposure_s: config.exposure_s,
+            blur: BlurChoice::default(),
+        }
+    }
+
+    /// Refines a track in place. Points whose cut-out is gone or does not look like the ball keep their centroid and
+    /// its larger covariance. `None`: too few cut-outs, nothing changed.
+    pub fn refine(&mut self, cut_outs: &PatchPool, track: &mut Track) -> Option<Refinement> {
+        refine(cut_outs, self.exposure_s, &mut self.blur, track)
+    }
+}
+
+fn refine(
     pool: &PatchPool,
     exposure_s: Option<f64>,
     blur: &mut BlurChoice,

@@ -24,5 +24,5 @@ mod session;
 pub use camera::{Counters, Emulator, EmulatorError, EmulatorOptions};
 pub use faults::{Drill, FaultError, Faults};
 pub use registers::Identity;
-pub use script::{Idle, Pixels, Script, ScriptShape, ScriptedFrame, pattern};
+pub use script::{Idle, Pixels, Script, ScriptShape, ScriptedFrame, pattern, repeated};
 pub use session::{ScriptError, session_script};

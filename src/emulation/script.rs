@@ -44,6 +44,19 @@ impl ScriptShape {
 /// Frames in order, as a thread may read them.
 pub type Script = Box<dyn Iterator<Item = ScriptedFrame> + Send>;
 
+/// The same frames again and again, each time `every` after the last; for ever. All of them stay in memory.
+pub fn repeated(frames: Vec<ScriptedFrame>, every: Duration) -> Script {
+    let every_ns = i64::try_from(every.as_nanos()).unwrap_or(i64::MAX);
+    Box::new((0_i64..).flat_map(move |round| {
+        let shift_ns = round.saturating_mul(every_ns);
+        let again = frames.clone();
+        again.into_iter().map(move |frame| ScriptedFrame {
+            begin_ns: frame.begin_ns.saturating_add(shift_ns),
+            pixels: frame.pixels,
+        })
+    }))
+}
+
 /// A grey field with a bright ball that crosses it every 64 frames: for trying a camera out.
 pub fn pattern(shape: ScriptShape) -> Script {
     let frames: Vec<Pixels> = (0..16).map(|phase| draw(&shape, phase)).collect();
@@ -199,6 +212,17 @@ impl Timeline {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_repeated_script_goes_on_at_its_period() {
+        let frame = |begin_ns| ScriptedFrame {
+            begin_ns,
+            pixels: Arc::new(vec![0; 4]),
+        };
+        let script = repeated(vec![frame(3), frame(8)], Duration::from_nanos(100));
+        let begins: Vec<i64> = script.take(5).map(|f| f.begin_ns).collect();
+        assert_eq!(begins, [3, 8, 103, 108, 203]);
+    }
 
     #[test]
     fn the_camera_idles_before_and_after_its_script() {

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::detection::painter::{Ball, Canvas};
+use crate::tracking::TrackKind;
 
 fn flight(frame: f64) -> [f64; 2] {
     [

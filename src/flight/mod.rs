@@ -2,13 +2,15 @@
 //!
 //! `physics` (forces) → `trajectory` (path and its prior) → `sighting` (a point against a path) →
 //! `equations` (normal equations) → `start`, `solve` (one pitch with a known calibration) → `outcome`
-//! → `pitch`; beside them the numbers and views of a solved flight: `numbers`, `nine_parameter`, `zone`.
+//! → `pitch`; beside them the numbers and views of a solved flight: `numbers`, `nine_parameter`, `zone`, and
+//! what a ball still in flight will do: `outlook`.
 
 pub mod equations;
 mod error;
 mod nine_parameter;
 mod numbers;
 pub mod outcome;
+mod outlook;
 pub mod physics;
 pub mod pitch;
 mod residuals;
@@ -32,8 +34,9 @@ pub use numbers::{
     nine_parameter_view, position_sigma_m, speed_at, state_at_plane,
 };
 pub use outcome::{SolvedFlight, TrackFit};
+pub use outlook::{OutlookError, look_ahead};
 pub use physics::{Aerodynamics, Physics};
-pub use pitch::{PitchOptions, flight_samples, pitch_from_flight};
+pub use pitch::{PitchOptions, flight_samples, is_far_off, pitch_from_flight};
 pub use residuals::{PointResidual, residuals};
 pub use solve::{FlightOptions, solve_flight};
 pub use start::linear_start;

@@ -222,6 +222,11 @@ fn statcast(
     row
 }
 
+/// Whether points are so far off their flight that the cameras must stand elsewhere than the calibration says.
+pub fn is_far_off(rms_px: f64, usual_px: f64) -> bool {
+    rms_px > FAR_OFF_PX && rms_px > FAR_OFF_RATIO * usual_px
+}
+
 /// Sets quality and reasons.
 fn judge(pitch: &mut Pitch, flight: &SolvedFlight, options: &PitchOptions) {
     let mut reasons = Vec::new();
@@ -256,7 +261,7 @@ fn judge(pitch: &mut Pitch, flight: &SolvedFlight, options: &PitchOptions) {
         note(*worst, doubt.clone());
     }
     let (rms_px, usual_px) = (pitch.reprojection_rms_px, options.calibration_rms_px);
-    if rms_px > FAR_OFF_PX && rms_px > FAR_OFF_RATIO * usual_px {
+    if is_far_off(rms_px, usual_px) {
         let reason = format!(
             "its points lie {rms_px:.1} px off the flight, {usual_px:.2} px in the calibration: a camera has moved, or it is another rig's calibration"
         );

@@ -26,6 +26,9 @@ const PROMISE_LITTLE: f64 = 1e-2;
 /// A step that promises less is not taken.
 const PROMISE_NOTHING: f64 = 1e-8;
 
+/// Levels of residual acceleration tried while the ball flies.
+const IN_FLIGHT_LEVELS: usize = 3;
+
 /// How a flight is solved.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FlightOptions {
@@ -53,6 +56,13 @@ impl Default for FlightOptions {
 }
 
 impl FlightOptions {
+    /// For a ball still in flight: the unseen rest of the way is flown by the physics, so what is seen may not be
+    /// explained by much else.
+    pub fn in_flight(mut self) -> Self {
+        self.acceleration_levels_mps2.truncate(IN_FLIGHT_LEVELS);
+        self
+    }
+
     /// With the site's gravity and air, for flights in this kind of world.
     pub fn for_site(site: &Site, world: WorldFrame) -> Self {
         Self {

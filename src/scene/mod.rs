@@ -20,7 +20,7 @@ pub use camera::{CameraId, CameraIdError};
 pub use detection::Detection;
 pub use field::{FieldPreset, UnknownLandmark};
 pub use frame::{Frame, FrameStamp};
-pub use pitch::{FlightSample, Pitch, PitchQuality, PitchSigma, StatcastRow};
+pub use pitch::{FlightSample, Outlook, Pitch, PitchQuality, PitchSigma, StatcastRow};
 pub use rig::{
     CameraSetup, DistanceMeasurement, Landmark, LandmarkPosition, Motion, Rig, RollingShutter, Site,
 };

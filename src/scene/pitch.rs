@@ -107,3 +107,30 @@ pub struct Pitch {
     /// What is weak, in words.
     pub reasons: Vec<String>,
 }
+
+/// A ball still in flight, as it is published: where it was last seen, and where it will cross the front of the plate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Outlook {
+    /// Cameras whose points went in.
+    pub cameras: Vec<CameraId>,
+    /// Points that went in.
+    pub points: usize,
+    /// Reference camera's true time of the newest point, nanoseconds.
+    pub time_ns: i64,
+    /// Position then, metres.
+    pub position_m: [f64; 3],
+    /// 1σ of it, metres.
+    pub position_sigma_m: [f64; 3],
+    /// Velocity then, m/s.
+    pub velocity_mps: [f64; 3],
+    /// Reference camera's true time at which it will cross the front of the plate (y = 17/12 ft), nanoseconds.
+    pub plate_time_ns: i64,
+    /// 1σ of it, seconds.
+    pub plate_time_sigma_s: f64,
+    /// x and z there, metres.
+    pub plate_front_m: [f64; 2],
+    /// 1σ of them, metres.
+    pub plate_front_sigma_m: [f64; 2],
+    /// Speed there, m/s.
+    pub plate_speed_mps: f64,
+}

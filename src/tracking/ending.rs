@@ -7,6 +7,7 @@ use nalgebra::Vector2;
 use super::config::TrackerConfig;
 use super::curve::{Curve, Sample, Stiffness};
 use super::hypothesis::{Hypothesis, Point, gain, light_variance_px2, local_curve};
+use super::open::point_of;
 use super::shape::{TrackShape, TrackedBall};
 use super::tracker::FramePoints;
 use crate::scene::{CameraId, Track, TrackPoint};
@@ -50,15 +51,7 @@ pub fn conclude(
     let track = Track {
         camera: camera.clone(),
         track: 0,
-        points: points
-            .iter()
-            .map(|p| TrackPoint {
-                frame: p.detection.frame,
-                stamped: p.detection.stamped,
-                pixel: p.detection.centre,
-                covariance_px2: Some(p.detection.covariance_px2),
-            })
-            .collect(),
+        points: points.iter().map(point_of).collect(),
     };
     let track = polish(&track, CENTROID_FLOOR_PX)?;
     let mut radii: Vec<f64> = points.iter().map(|p| p.detection.radius_px).collect();
@@ -82,7 +75,7 @@ pub fn conclude(
 
 /// The longest smooth stretch around the fastest smooth window: a path may have begun in the arm and may end
 /// in the glove.
-fn free_flight(points: &[Point]) -> Option<Vec<Point>> {
+pub fn free_flight(points: &[Point]) -> Option<Vec<Point>> {
     let window = WINDOW.min(points.len());
     let (begin, _) = points
         .windows(window)

@@ -9,10 +9,12 @@ mod config;
 mod curve;
 mod ending;
 mod hypothesis;
+mod open;
 mod shape;
 mod tracker;
 
 pub use config::TrackerConfig;
 pub use ending::polish;
+pub use open::OpenPath;
 pub use shape::{TrackKind, TrackShape, TrackedBall, vote};
 pub use tracker::{Tracker, TrackerCounters};

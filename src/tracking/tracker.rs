@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use super::config::TrackerConfig;
 use super::ending::conclude;
 use super::hypothesis::{Hypothesis, Match, Point, aligned};
+use super::open::{OpenPath, open_paths};
 use super::shape::{TrackKind, TrackedBall};
 use crate::geometry::Pixel;
 use crate::scene::{CameraId, Detection, FrameStamp};
@@ -128,6 +129,11 @@ impl Tracker {
             .filter(|h| h.points.len() >= YOUNG.0)
             .filter_map(move |h| h.prediction(t))
             .map(|(at, reach, radius)| (Pixel::new(at.x, at.y), reach, radius))
+    }
+
+    /// The likeliest of the paths being followed.
+    pub fn open(&self) -> Vec<OpenPath> {
+        open_paths(&self.alive, &self.config)
     }
 
     /// The balls finished since the last call.

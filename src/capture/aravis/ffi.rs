@@ -100,6 +100,13 @@ impl RawStream {
     }
 }
 
+/// Makes the calling thread real-time (SCHED_RR), if the system allows it; answers whether it did.
+pub fn make_this_thread_realtime(priority: u8) -> bool {
+    let priority = i32::from(priority).clamp(1, 99);
+    // SAFETY: no arguments but a number; acts on the calling thread.
+    unsafe { aravis_sys::arv_make_thread_realtime(priority) != 0 }
+}
+
 /// The pixels of a frame in the buffer that the receive thread filled. Dropping it sends the buffer home.
 pub struct PooledFrame {
     buffer: Option<Buffer>,

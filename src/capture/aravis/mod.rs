@@ -20,6 +20,6 @@ mod probe;
 
 pub use camera::{CameraMemory, LiveCamera, LiveCounters, LiveFrame, Next, granted_socket_buffer};
 pub use error::LiveError;
-pub use ffi::{ListedDevice, list_devices};
+pub use ffi::{ListedDevice, list_devices, make_this_thread_realtime};
 pub use options::{CameraAddress, LiveOptions, PacketPath, Ptp};
 pub use probe::{Found, discover, is_held, ping};

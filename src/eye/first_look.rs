@@ -1,0 +1,120 @@
+//! The first look: every frame through detector and tracker; ended balls go out with what a second look needs.
+
+use super::EyeConfig;
+use crate::detection::{Answers, CutOuts, DetectionError, Detector, DetectorCounters, ExpectedBall};
+use crate::scene::{CameraId, Detection, Frame, FrameStamp};
+use crate::tracking::{OpenPath, TrackKind, TrackedBall, Tracker, TrackerCounters};
+
+/// A ball whose path has ended, with the cut-outs of its points if it may be a pitch.
+pub struct EndedBall {
+    /// Its path by the first look.
+    pub ball: TrackedBall,
+    /// What it looked like in every frame.
+    pub cut_outs: Option<CutOuts>,
+}
+
+/// How far a camera's balls move between frames at their slowest, and how long they are along their motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BallStep {
+    /// Shortest step between frames, pixels.
+    pub step_px: f64,
+    /// Length along the motion, pixels.
+    pub length_px: f64,
+}
+
+/// Detector and tracker of one camera.
+pub struct FirstLook {
+    detector: Detector,
+    tracker: Tracker,
+    ended: Vec<EndedBall>,
+}
+
+/// The tracker as the detector sees it: it takes candidates and says where to look for weak ones.
+struct Guided<'a>(&'a mut Tracker);
+
+impl Answers for Guided<'_> {
+    fn expect(&mut self, stamp: FrameStamp, expected: &mut Vec<ExpectedBall>) {
+        let predictions = self.0.predictions(stamp);
+        expected.extend(predictions.map(|(centre, reach_px, radius_px)| ExpectedBall {
+            centre,
+            reach_px,
+            radius_px,
+        }));
+    }
+
+    fn answer(&mut self, stamp: FrameStamp, detections: &[Detection]) {
+        for d in detections {
+            tracing::trace!(
+                frame = stamp.frame,
+                x = d.centre.x,
+                y = d.centre.y,
+                radius = d.radius_px,
+                strength = d.strength,
+                "candidate"
+            );
+        }
+        self.0.push(stamp, detections);
+    }
+}
+
+impl FirstLook {
+    /// For frames of this size.
+    pub fn new(camera: CameraId, config: &EyeConfig, width_px: u32, height_px: u32) -> Self {
+        Self {
+            detector: Detector::new(config.detector.clone(), width_px, height_px),
+            tracker: Tracker::new(camera, config.tracker.clone()),
+            ended: Vec::new(),
+        }
+    }
+
+    /// Takes the next frame of the camera.
+    ///
+    /// # Errors
+    /// A frame of another size.
+    pub fn push(&mut self, frame: &Frame) -> Result<(), DetectionError> {
+        let result = self.detector.detect(frame, &mut Guided(&mut self.tracker));
+        let balls = self.tracker.drain();
+        self.keep(balls);
+        result
+    }
+
+    /// Ends the recording: what was still open is decided.
+    pub fn finish(&mut self) {
+        self.detector.flush(&mut Guided(&mut self.tracker));
+        let balls = self.tracker.finish();
+        self.keep(balls);
+    }
+
+    fn keep(&mut self, balls: Vec<TrackedBall>) {
+        for ball in balls {
+            let may_be_pitch = ball.kind == TrackKind::Pitch;
+            let cut_outs = may_be_pitch.then(|| self.detector.cut_outs(&ball.track));
+            self.ended.push(EndedBall { ball, cut_outs });
+        }
+    }
+
+    /// The balls that have ended since the last call.
+    pub fn drain(&mut self) -> Vec<EndedBall> {
+        std::mem::take(&mut self.ended)
+    }
+
+    /// The likeliest balls in flight.
+    pub fn open(&self) -> Vec<OpenPath> {
+        self.tracker.open()
+    }
+
+    /// Takes what a second look has found of this camera's balls; it holds from the next window on.
+    pub fn adapt(&mut self, ball: BallStep) {
+        self.detector.adapt_lag(ball.step_px, ball.length_px);
+    }
+
+    /// Frames between a frame and its answer.
+    pub fn lag_frames(&self) -> usize {
+        self.detector.lag_frames()
+    }
+
+    /// What was seen and left out.
+    pub fn counters(&self) -> (DetectorCounters, TrackerCounters) {
+        (self.detector.counters(), self.tracker.counters())
+    }
+}

@@ -1,0 +1,98 @@
+//! The second look: refines the centres of what may be a pitch, and judges again. Another thread may do it.
+
+use super::EyeConfig;
+use super::first_look::{BallStep, EndedBall};
+use crate::detection::Refiner;
+use crate::scene::Track;
+use crate::tracking::{TrackKind, TrackShape, TrackedBall, TrackerConfig, polish, vote};
+
+/// Departure of refined centres from a smooth path beyond their covariance, pixels.
+const REFINED_FLOOR_PX: f64 = 0.2;
+/// Refined centres of a ball are no further than this from a smooth path (rms, pixels).
+const REFINED_ROUGHNESS_MAX_PX: f64 = 0.5;
+/// Earlier balls that vote on which way pitches go.
+const SHAPES_KEPT: usize = 60;
+/// Points over which a step is averaged.
+const STEP_POINTS: usize = 6;
+
+/// What is known of one camera's balls.
+pub struct SecondLook {
+    refiner: Refiner,
+    tracker_config: TrackerConfig,
+    shapes: Vec<TrackShape>,
+}
+
+impl SecondLook {
+    /// For the balls of one camera.
+    pub fn new(config: &EyeConfig) -> Self {
+        Self {
+            refiner: Refiner::new(&config.detector),
+            tracker_config: config.tracker.clone(),
+            shapes: Vec::new(),
+        }
+    }
+
+    /// Refines the centres of what may be a pitch, and trims what then shows not to be free flight. With it what the
+    /// first look should know of this camera's balls.
+    pub fn look(&mut self, ended: EndedBall) -> (TrackedBall, Option<BallStep>) {
+        let EndedBall { mut ball, cut_outs } = ended;
+        if let Some(cut_outs) = &cut_outs
+            && let Some(refinement) = self.refiner.refine(cut_outs, &mut ball.track)
+        {
+            tracing::debug!(camera = %ball.track.camera, points = ball.track.points.len(), ?refinement, "refined");
+            if let Some(polished) = polish(&ball.track, REFINED_FLOOR_PX) {
+                ball.track = polished;
+            }
+            if let Some(shape) = TrackShape::measure(&ball.track, refinement.radius_px) {
+                ball.shape = shape;
+                ball.kind = shape.kind(&self.tracker_config);
+            }
+            if refinement.fitted < refinement.left || ball.shape.roughness_px > REFINED_ROUGHNESS_MAX_PX {
+                ball.kind = TrackKind::Rough;
+            }
+        }
+        let step = (ball.kind == TrackKind::Pitch)
+            .then(|| slowest_step(&ball.track, ball.shape.radius_px))
+            .flatten();
+        let ends = ball.track.points.first().zip(ball.track.points.last());
+        let frames = ends.map(|(first, last)| (first.frame, last.frame));
+        tracing::debug!(camera = %ball.track.camera, kind = ?ball.kind, ?frames, shape = ?ball.shape, "moved");
+        (ball, step)
+    }
+
+    /// The pitches among these balls. Which way this camera's pitches go is voted by all balls seen so far, so asking
+    /// once at the end is surest.
+    pub fn pitches(&mut self, mut balls: Vec<TrackedBall>) -> Vec<Track> {
+        balls.retain(|ball| ball.kind == TrackKind::Pitch);
+        self.shapes.extend(balls.iter().map(|ball| ball.shape));
+        let votes = vote(&self.shapes);
+        let fresh = votes.len() - balls.len();
+        if fresh > SHAPES_KEPT {
+            self.shapes.drain(..fresh - SHAPES_KEPT);
+        }
+        let fresh_votes = votes.into_iter().skip(fresh);
+        balls
+            .into_iter()
+            .zip(fresh_votes)
+            .filter(|(_, pitch)| *pitch)
+            .map(|(ball, _)| ball.track)
+            .collect()
+    }
+}
+
+/// The shortest step of a track between frames, and the ball's length along its motion.
+fn slowest_step(track: &Track, radius_px: f64) -> Option<BallStep> {
+    let step_px = track
+        .points
+        .windows(STEP_POINTS)
+        .filter_map(|points| {
+            let (first, last) = (points.first()?, points.last()?);
+            let frames = last.frame.checked_sub(first.frame)?.max(1) as f64;
+            Some((last.pixel.vector() - first.pixel.vector()).norm() / frames)
+        })
+        .min_by(f64::total_cmp)?;
+    Some(BallStep {
+        step_px,
+        length_px: 2.6 * radius_px + 0.3 * step_px,
+    })
+}
