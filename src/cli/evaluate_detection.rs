@@ -116,7 +116,9 @@ fn of_scenario(args: &EvaluateDetectionArgs, path: &Path) -> anyhow::Result<Vec<
     if let Some(seed) = args.seed {
         scenario = scenario.with_seed(seed);
     }
-    let truth = simulate_tracks(&scenario)?.truth;
+    let mut simulated = simulate_tracks(&scenario)?;
+    let truth = &mut simulated.truth;
+    let pitches = truth.pitches.len() as u32;
     let mut scores = Vec::new();
     for (index, camera) in truth
         .cameras
@@ -125,9 +127,12 @@ fn of_scenario(args: &EvaluateDetectionArgs, path: &Path) -> anyhow::Result<Vec<
         .filter(|(_, c)| wanted(args, &c.id))
     {
         let renderer = CameraRenderer::new(&scenario, index)?;
-        let mut config = EyeConfig::default();
-        config.detector.exposure_s = Some(camera.exposure_s);
-        config.tracker.frame_rate_hz = camera.frame_rate_hz;
+        let centres = truth.centres.iter_mut().find(|c| c.camera == camera.id);
+        let balls = centres.map(|centres| {
+            renderer.mark_hidden(&mut centres.centres);
+            truth_of(centres)
+        });
+        let config = EyeConfig::of_rig(&simulated.rig, &camera.id);
         let mut eye = CameraEye::new(camera.id.clone(), config, camera.width_px, camera.height_px);
         for frame in renderer.frames() {
             eye.push(&frame)?;
@@ -135,9 +140,7 @@ fn of_scenario(args: &EvaluateDetectionArgs, path: &Path) -> anyhow::Result<Vec<
         eye.finish();
         let tracks = eye.drain_pitches();
         tracing::info!(camera = %camera.id, counters = ?eye.counters(), "searched");
-        let centres = truth.centres.iter().find(|c| c.camera == camera.id);
-        let balls = centres.map(truth_of).unwrap_or_default();
-        let score = score_tracks(&camera.id, &tracks, &balls, truth.pitches.len() as u32);
+        let score = score_tracks(&camera.id, &tracks, &balls.unwrap_or_default(), pitches);
         if let Some(folder) = &args.pictures {
             let frames = CameraRenderer::new(&scenario, index)?.frames();
             cut_pictures(&folder.join(camera.id.as_str()), &score, &tracks, frames)?;

@@ -253,7 +253,7 @@ impl CameraRenderer {
         all
     }
 
-    /// Share of a ball's disc that people, poles and wires hide at its exposure midpoint, 0..1.
+    /// Share of a ball's picture (its disc along the way of the exposure) that people, poles and wires hide, 0..1.
     pub fn hidden_share(&self, centre: &TrueCentre) -> f64 {
         let Some(ball) = (centre.pitch as usize)
             .checked_sub(1)
@@ -266,14 +266,18 @@ impl CameraRenderer {
         let depth_m = self.pose.transform(&ball.position_m(true_s)).norm();
         let mut people = self.people(true_s);
         people.retain(|shape| shape.depth_m < depth_m);
-        let mut hidden = 0.0;
-        for (u, v) in DISC {
-            let x = centre.pixel.x + u * centre.radius_px;
-            let y = centre.pixel.y + v * centre.radius_px;
+        let hidden_at = |x: f64, y: f64| {
             let shapes = people.iter().map(|shape| shape.at(x, y).0);
             let bars = self.scenery.bars.iter().map(|bar| bar.at(x, y));
             let clear: f32 = shapes.chain(bars).map(|coverage| 1.0 - coverage).product();
-            hidden += f64::from(1.0 - clear) / DISC.len() as f64;
+            f64::from(1.0 - clear)
+        };
+        let mut hidden = 0.0;
+        for part in SWEEP {
+            let [x, y] = [0, 1].map(|k| part * self.camera.exposure_s * centre.velocity_pxps[k]);
+            let (x, y) = (centre.pixel.x + x, centre.pixel.y + y);
+            let disc = DISC.map(|(u, v)| hidden_at(x + u * centre.radius_px, y + v * centre.radius_px));
+            hidden += disc.iter().sum::<f64>() / (SWEEP.len() * DISC.len()) as f64;
         }
         hidden
     }
@@ -297,6 +301,9 @@ impl CameraRenderer {
         self.column_light.iter().map(gain).collect()
     }
 }
+
+/// Instants of an exposure that stand for all of it.
+const SWEEP: [f64; 3] = [-1.0 / 3.0, 0.0, 1.0 / 3.0];
 
 /// Points of a disc of radius 1 that stand for its area.
 const DISC: [(f64, f64); 13] = [
