@@ -2,15 +2,14 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::Vector2;
-
 use super::config::TrackerConfig;
 use super::curve::{Curve, Sample, Stiffness};
 use super::hypothesis::{Hypothesis, Point, gain, light_variance_px2, local_curve};
 use super::open::point_of;
+use super::polish::{CENTROID_FLOOR_PX, polish};
 use super::shape::{TrackShape, TrackedBall};
 use super::tracker::FramePoints;
-use crate::scene::{CameraId, Track, TrackPoint};
+use crate::scene::{CameraId, Track};
 
 /// Points looked at when extending back.
 const LOOK_AHEAD: usize = 10;
@@ -32,12 +31,6 @@ const STRAGGLERS_MAX: usize = 3;
 const STRAGGLER_GAP: f64 = 5.5;
 /// This many points in a row off the path end it.
 const STRAYS_MAX: usize = 4;
-/// A centroid that was not refined (variance per axis above this, px²) may be off by so much, pixels.
-const UNREFINED: (f64, f64) = (0.04, 0.8);
-/// A point further than this many σ from the smooth path is not the ball.
-const OUTLIER_SIGMAS: f64 = 5.0;
-/// Departure of centroids from the smooth path beyond their covariance, pixels.
-const CENTROID_FLOOR_PX: f64 = 0.5;
 
 /// The ball of a path, with the detections it took; `None` where it is none.
 pub fn conclude(
@@ -256,62 +249,5 @@ fn follow<'a>(
         if let Some((_, point)) = best {
             points.push(*point);
         }
-    }
-}
-
-/// Drops points off the smooth path, worst first; what is left is the ball in free flight.
-///
-/// `floor_px` is the departure allowed beyond the covariance. Called again after the centres were refined: with
-/// their small covariance the ends in the hand and in the glove show. `None` when nothing is left.
-pub fn polish(track: &Track, floor_px: f64) -> Option<Track> {
-    let epoch = track.points.first()?.stamped.nanos();
-    let mut kept = track.points.clone();
-    loop {
-        let samples: Vec<Sample> = kept.iter().map(|p| sample(p, epoch, floor_px)).collect();
-        let degree = match samples.len() {
-            0..4 => return None,
-            4..10 => 2,
-            10..24 => 3,
-            24..50 => 4,
-            _ => 5,
-        };
-        let curve = Curve::fit(
-            &samples,
-            Stiffness {
-                degree,
-                acceleration_sigma: f64::INFINITY,
-            },
-        )?;
-        let excess = |s: &Sample| -> f64 {
-            let miss: Vector2<f64> = s.position_px - curve.position(s.t);
-            let allowed = s.variance_px2.sqrt();
-            if floor_px < CENTROID_FLOOR_PX && s.variance_px2 > UNREFINED.0 + floor_px * floor_px {
-                return miss.norm() / allowed.min(UNREFINED.1 / OUTLIER_SIGMAS);
-            }
-            miss.norm() / allowed
-        };
-        let worst = samples
-            .iter()
-            .map(excess)
-            .enumerate()
-            .max_by(|a, b| a.1.total_cmp(&b.1))?;
-        if worst.1 <= OUTLIER_SIGMAS {
-            break;
-        }
-        kept.remove(worst.0);
-    }
-    Some(Track {
-        camera: track.camera.clone(),
-        track: track.track,
-        points: kept,
-    })
-}
-
-fn sample(point: &TrackPoint, epoch: i64, floor_px: f64) -> Sample {
-    let variance = point.covariance_px2.map_or(0.25, |c| 0.5 * c.trace());
-    Sample {
-        t: point.stamped.seconds_since(epoch),
-        position_px: point.pixel.vector(),
-        variance_px2: variance + floor_px * floor_px,
     }
 }

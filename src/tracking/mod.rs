@@ -10,11 +10,12 @@ mod curve;
 mod ending;
 mod hypothesis;
 mod open;
+mod polish;
 mod shape;
 mod tracker;
 
 pub use config::TrackerConfig;
-pub use ending::polish;
 pub use open::OpenPath;
+pub use polish::polish;
 pub use shape::{TrackKind, TrackShape, TrackedBall, vote};
 pub use tracker::{Tracker, TrackerCounters};
