@@ -2,8 +2,10 @@
 //!
 //! Work and memory are bounded: at most [`RUNS_MAX`] runs of pixels a frame, the rest is counted by the caller.
 
+use std::ops::Range;
+
 use super::dispatch::Kernels;
-use super::kernel::{self, TILE_HEIGHT_PX, TILE_WIDTH_PX};
+use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::regions::RegionNoise;
 use super::tiles::TileMap;
 
@@ -19,6 +21,8 @@ const GAP_PX: usize = 1;
 /// Three images of one size: the one searched and two that show what is behind the ball.
 #[derive(Clone, Copy)]
 pub struct Images<'a> {
+    /// The loops that read them.
+    pub kernels: Kernels,
     /// Columns.
     pub width_px: usize,
     /// Rows.
@@ -32,46 +36,19 @@ pub struct Images<'a> {
 }
 
 impl Images<'_> {
-    /// Signed three-frame change of a pixel: positive where brighter than both references.
-    pub fn change(&self, x: usize, y: usize) -> i32 {
-        let at = y * self.width_px + x;
-        let (Some(c), Some(a), Some(b)) = (self.current.get(at), self.one.get(at), self.other.get(at)) else {
-            return 0;
-        };
-        let size = i32::from(kernel::change(*c, *a, *b));
-        if c >= a.max(b) { size } else { -size }
-    }
-
-    /// Sum and largest size of the change of `length` pixels of a row.
-    fn change_of_run(&self, begin: usize, length: usize) -> (u32, u8) {
-        let run = begin..begin + length;
-        let (Some(c), Some(a), Some(b)) = (
-            self.current.get(run.clone()),
-            self.one.get(run.clone()),
-            self.other.get(run),
-        ) else {
-            return (0, 0);
-        };
-        c.iter().zip(a).zip(b).fold((0, 0), |(sum, peak), ((c, a), b)| {
-            let size = kernel::change(*c, *a, *b);
-            (sum + u32::from(size), peak.max(size))
-        })
-    }
-
-    /// The pixels of a square around a place, within the image.
-    pub fn around(
-        &self,
-        x_px: f64,
-        y_px: f64,
-        reach_px: f64,
-    ) -> impl Iterator<Item = (usize, usize)> + use<> {
+    /// Columns and rows of a square around a place, within the image.
+    pub fn around(&self, x_px: f64, y_px: f64, reach_px: f64) -> (Range<usize>, Range<usize>) {
         let span = |centre: f64, size: usize| {
             let low = (centre - reach_px).ceil().max(0.0) as usize;
             let high = ((centre + reach_px).floor() + 1.0).clamp(0.0, size as f64) as usize;
             low.min(high)..high
         };
-        let columns = span(x_px, self.width_px);
-        span(y_px, self.height_px).flat_map(move |y| columns.clone().map(move |x| (x, y)))
+        (span(x_px, self.width_px), span(y_px, self.height_px))
+    }
+
+    /// The three as slices.
+    pub fn levels(&self) -> (&[u8], &[u8], &[u8]) {
+        (self.current, self.one, self.other)
     }
 }
 
@@ -151,25 +128,33 @@ impl BlobFinder {
         if self.blobs.len() > JOINED_BLOBS_MAX {
             return;
         }
+        self.blobs.sort_unstable_by_key(|blob| (blob.top, blob.left));
         let mut index = 0;
-        while let Some(blob) = self.blobs.get(index).copied() {
-            let partner = self
-                .blobs
-                .iter()
-                .enumerate()
-                .skip(index + 1)
-                .find(|(_, other)| blob.belongs_to(other, JOIN_GAP_PX, JOINED_SIDE_PX))
-                .map(|(i, _)| i);
-            match partner {
-                Some(other) => {
-                    let other = self.blobs.swap_remove(other);
-                    if let Some(blob) = self.blobs.get_mut(index) {
-                        blob.join(&other);
-                    }
+        while let Some(mut blob) = self.blobs.get(index).copied() {
+            let mut next = index + 1;
+            while let Some(other) = self.blobs.get(next).copied() {
+                if other.top > blob.bottom + JOIN_GAP_PX {
+                    break;
                 }
-                None => index += 1,
+                if blob.area_px > 0
+                    && other.area_px > 0
+                    && blob.belongs_to(&other, JOIN_GAP_PX, JOINED_SIDE_PX)
+                {
+                    blob.join(&other);
+                    if let Some(taken) = self.blobs.get_mut(next) {
+                        taken.area_px = 0;
+                    }
+                    // What it has grown over may belong to it now.
+                    next = index;
+                }
+                next += 1;
             }
+            if let Some(slot) = self.blobs.get_mut(index) {
+                *slot = blob;
+            }
+            index += 1;
         }
+        self.blobs.retain(|blob| blob.area_px > 0);
     }
 
     /// Buffers for an image this wide.
@@ -275,7 +260,7 @@ impl BlobFinder {
         index
     }
 
-    fn join_rows(&mut self, above: std::ops::Range<usize>, below: std::ops::Range<usize>) {
+    fn join_rows(&mut self, above: Range<usize>, below: Range<usize>) {
         let (mut a, mut b) = (above.start, below.start);
         while a < above.end && b < below.end {
             let (Some(upper), Some(lower)) = (self.runs.get(a).copied(), self.runs.get(b).copied()) else {
@@ -332,7 +317,8 @@ impl BlobFinder {
             blob.top = blob.top.min(y);
             blob.bottom = blob.bottom.max(y);
             blob.area_px += last + 1 - begin;
-            let (sum, peak) = images.change_of_run(y * images.width_px + begin, last + 1 - begin);
+            let at = y * images.width_px + begin;
+            let (sum, peak) = self.kernels.change_of_run(images.levels(), at, last + 1 - begin);
             blob.change_sum += i64::from(sum);
             blob.peak = blob.peak.max(i32::from(peak));
         }

@@ -3,9 +3,10 @@
 //! The centroid follows the light, not the ball: it is off by up to a quarter of the radius on a ball lit from
 //! one side, and its covariance says so. [`super::refine`] removes that once the ball is tracked.
 
-use nalgebra::{Matrix2, SymmetricEigen, Vector2};
+use nalgebra::{Matrix2, Vector2};
 
 use super::blobs::{Blob, Images};
+use super::kernel::{WEIGHT_STEPS, WINDOW_MAX_PX};
 
 /// Centroid may be off the geometric centre by this share of the radius (measured 0.25–0.75 px at 3 px).
 const LIGHT_OFFSET_OF_RADIUS: f64 = 0.15;
@@ -67,15 +68,14 @@ impl Sums {
         }
         let mean = self.first / self.sum;
         let spread = self.second / self.sum - mean * mean.transpose();
-        let eigen = SymmetricEigen::new(spread);
-        let (long, wide) = if eigen.eigenvalues[0] >= eigen.eigenvalues[1] {
-            (0, 1)
-        } else {
-            (1, 0)
-        };
-        let along = eigen.eigenvectors.column(long).into_owned();
-        let across_variance = (eigen.eigenvalues[wide] - BLUR_VARIANCE_PX2).max(0.15);
-        let excess = (eigen.eigenvalues[long] - eigen.eigenvalues[wide]).max(0.0);
+        // Eigenvalues and the long axis of a symmetric 2×2 matrix.
+        let (half, mixed) = (0.5 * (spread.m11 - spread.m22), spread.m12);
+        let (middle, apart) = (0.5 * (spread.m11 + spread.m22), half.hypot(mixed));
+        let (long, wide) = (middle + apart, middle - apart);
+        let angle = 0.5 * mixed.atan2(half);
+        let along = Vector2::new(angle.cos(), angle.sin());
+        let across_variance = (wide - BLUR_VARIANCE_PX2).max(0.15);
+        let excess = (long - wide).max(0.0);
         let radius_px = 2.0 * across_variance.sqrt();
         let sigma = (LIGHT_OFFSET_OF_RADIUS * radius_px).max(0.2);
         let along_sigma = sigma.hypot(0.1 * (12.0 * excess).sqrt());
@@ -91,18 +91,42 @@ impl Sums {
     }
 }
 
+/// The rows of a window, each as first column and length counted from the window's first column.
+type Rows = [(usize, usize); WINDOW_MAX_PX];
+
+/// Sums over the rows of a window whose first pixel is (left, top), with offsets from that pixel.
+fn read_window(
+    images: &Images<'_>,
+    (left, top): (usize, usize),
+    rows: &[(usize, usize)],
+    floor: f64,
+) -> Sums {
+    let steps = f64::from(WEIGHT_STEPS);
+    let place = (top * images.width_px + left, images.width_px);
+    let read = images
+        .kernels
+        .window_sums(images.levels(), place, rows, (steps * floor).round() as u32);
+    let real = |sum: u64| sum as f64 / steps;
+    let [x, y] = read.first.map(real);
+    let [xx, xy, yy] = read.second.map(real);
+    Sums {
+        sum: real(read.sum),
+        first: Vector2::new(x, y),
+        second: Matrix2::new(xx, xy, xy, yy),
+        count: read.count as f64,
+    }
+}
+
 /// Moments of the blob's change within its box grown by one pixel.
 pub fn moments(images: &Images<'_>, blob: &Blob) -> Option<Moments> {
     let sigma = f64::from(blob.difference_sigma);
-    let origin = Vector2::new(blob.left as f64, blob.top as f64);
-    let mut sums = Sums::default();
-    for y in blob.top.saturating_sub(1)..=(blob.bottom + 1).min(images.height_px.saturating_sub(1)) {
-        for x in blob.left.saturating_sub(1)..=(blob.right + 1).min(images.width_px.saturating_sub(1)) {
-            let at = Vector2::new(x as f64, y as f64) - origin;
-            sums.add(at, images.change(x, y), FLOOR_SIGMAS * sigma);
-        }
-    }
-    sums.moments(origin, sigma)
+    let (left, top) = (blob.left.saturating_sub(1), blob.top.saturating_sub(1));
+    let width = (blob.right + 2).min(images.width_px).saturating_sub(left);
+    let height = (blob.bottom + 2).min(images.height_px).saturating_sub(top);
+    let rows: Rows = [(0, width.min(WINDOW_MAX_PX)); WINDOW_MAX_PX];
+    let rows = rows.get(..height.min(WINDOW_MAX_PX))?;
+    let sums = read_window(images, (left, top), rows, FLOOR_SIGMAS * sigma);
+    sums.moments(Vector2::new(left as f64, top as f64), sigma)
 }
 
 /// Moments within a round window that moves to the change it contains.
@@ -112,17 +136,24 @@ pub fn window_moments(
     window_px: f64,
     difference_sigma: f64,
 ) -> Option<Moments> {
+    let window_px = window_px.min(0.5 * WINDOW_MAX_PX as f64 - 1.0);
     let mut centre = start_px;
     let mut found = None;
     for _ in 0..SHIFTS_MAX {
-        let mut sums = Sums::default();
-        for (x, y) in images.around(centre.x, centre.y, window_px) {
-            let at = Vector2::new(x as f64, y as f64) - centre;
-            if at.norm() <= window_px {
-                sums.add(at, images.change(x, y), FLOOR_SIGMAS * difference_sigma);
-            }
+        let (columns, lines) = images.around(centre.x, centre.y, window_px);
+        let mut rows: Rows = [(0, 0); WINDOW_MAX_PX];
+        let height = lines.len().min(WINDOW_MAX_PX);
+        for (row, y) in rows.iter_mut().zip(lines.clone()) {
+            let off = y as f64 - centre.y;
+            let half = (window_px * window_px - off * off).max(0.0).sqrt();
+            let (chord, _) = images.around(centre.x, y as f64, half);
+            *row = (chord.start.saturating_sub(columns.start), chord.len());
         }
-        let moments = sums.moments(centre, difference_sigma)?;
+        let corner = (columns.start, lines.start);
+        let floor = FLOOR_SIGMAS * difference_sigma;
+        let sums = read_window(images, corner, rows.get(..height)?, floor);
+        let origin = Vector2::new(corner.0 as f64, corner.1 as f64);
+        let moments = sums.moments(origin, difference_sigma)?;
         let moved = (moments.centre_px - centre).norm();
         centre = moments.centre_px;
         found = Some(moments);
@@ -133,6 +164,11 @@ pub fn window_moments(
     found
 }
 
+/// Largest reach of a search, pixels.
+const REACH_MAX_PX: f64 = 16.0;
+/// Columns of the strip that a search reads: 2·reach + 1 places and one more on each side.
+const STRIP_PX: usize = 36;
+
 /// Where the change over 3×3 pixels is largest near a place, with that mean change.
 pub fn strongest_near(
     images: &Images<'_>,
@@ -140,12 +176,39 @@ pub fn strongest_near(
     y_px: f64,
     reach_px: f64,
 ) -> Option<(Vector2<f64>, f64)> {
-    images
-        .around(x_px, y_px, reach_px)
-        .map(|(x, y)| {
-            let around = images.around(x as f64, y as f64, 1.0);
-            let sum: i32 = around.map(|(x, y)| images.change(x, y).abs()).sum();
-            (Vector2::new(x as f64, y as f64), f64::from(sum) / 9.0)
-        })
-        .max_by(|a, b| a.1.total_cmp(&b.1))
+    let reach_px = reach_px.min(REACH_MAX_PX);
+    let (columns, _) = images.around(x_px, y_px, reach_px + 1.0);
+    let (inner, lines) = images.around(x_px, y_px, reach_px);
+    let width = columns.len().min(STRIP_PX);
+    let mut best: Option<(Vector2<f64>, u32)> = None;
+    let mut strips = [[0u16; STRIP_PX]; 3];
+    let first = lines.start.saturating_sub(1);
+    // A pixel's three columns in a row, then three such rows; beyond the image nothing changes.
+    for y in first..=lines.end {
+        let mut sizes = [0u8; STRIP_PX + 2];
+        let begin = y * images.width_px + columns.start;
+        let levels = [images.current, images.one, images.other].map(|all| all.get(begin..begin + width));
+        if let ([Some(c), Some(a), Some(b)], Some(sizes)) = (levels, sizes.get_mut(1..=width)) {
+            images.kernels.change_row(c, a, b, sizes);
+        }
+        strips.rotate_left(1);
+        let [_, _, newest] = &mut strips;
+        for (sum, three) in newest.iter_mut().zip(sizes.windows(3)) {
+            *sum = three.iter().map(|size| u16::from(*size)).sum();
+        }
+        let Some(middle) = y.checked_sub(1).filter(|middle| lines.contains(middle)) else {
+            continue;
+        };
+        for x in inner.clone() {
+            let at = x - columns.start;
+            let sum: u32 = strips
+                .iter()
+                .map(|row| u32::from(row.get(at).copied().unwrap_or(0)))
+                .sum();
+            if best.is_none_or(|(_, most)| sum >= most) {
+                best = Some((Vector2::new(x as f64, middle as f64), sum));
+            }
+        }
+    }
+    best.map(|(place, sum)| (place, f64::from(sum) / 9.0))
 }

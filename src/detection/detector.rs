@@ -93,7 +93,7 @@ pub struct Detector {
     lag: usize,
     next_lag: usize,
     next_answer: usize,
-    tile_max: Vec<u8>,
+    tile_hits: Vec<bool>,
     tiles: TileMap,
     blobs: BlobFinder,
     movers: MoverSearch,
@@ -123,7 +123,7 @@ impl Detector {
             lag: config.lag_frames.max(1),
             next_lag: config.lag_frames.max(1),
             next_answer: 0,
-            tile_max: vec![0; width.div_ceil(TILE_WIDTH_PX)],
+            tile_hits: vec![false; width.div_ceil(TILE_WIDTH_PX)],
             tiles: TileMap::new(width, height),
             blobs: BlobFinder::new(width, Kernels::new(isa)),
             movers: MoverSearch::new(width, Kernels::new(isa)),
@@ -237,10 +237,10 @@ impl Detector {
             let thresholds = self.noise.band_thresholds(band);
             let any =
                 self.kernels
-                    .changed_tiles(current, before, self.width_px, thresholds, &mut self.tile_max);
+                    .changed_tiles(current, before, self.width_px, thresholds, &mut self.tile_hits);
             if any {
-                let tiles = self.tile_max.iter().zip(thresholds).enumerate();
-                for (column, _) in tiles.filter(|(_, (most, threshold))| most > threshold) {
+                let tiles = self.tile_hits.iter().enumerate();
+                for (column, _) in tiles.filter(|(_, hit)| **hit) {
                     changed.set(band, column);
                 }
             }
@@ -279,6 +279,7 @@ impl Detector {
             return;
         }
         let images = Images {
+            kernels: self.kernels,
             width_px: self.width_px,
             height_px: self.height_px,
             current: triple.current.frame.bytes(),

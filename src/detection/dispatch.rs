@@ -1,7 +1,7 @@
 //! Chooses the instruction set of the pixel loops at run time; the only file of the room with `unsafe`.
 #![allow(unsafe_code)]
 
-use super::kernel;
+use super::kernel::{self, WindowSums};
 
 /// An instruction set the kernels are compiled for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -95,7 +95,7 @@ impl Kernels {
 
 dispatched!(
     /// See [`kernel::changed_tiles`].
-    changed_tiles(current: &[u8], previous: &[u8], width: usize, thresholds: &[u8], tile_max: &mut [u8]) -> bool
+    changed_tiles(current: &[u8], previous: &[u8], width: usize, thresholds: &[u8], hits: &mut [bool]) -> bool
 );
 dispatched!(
     /// See [`kernel::clipped_change_sum`].
@@ -120,4 +120,16 @@ dispatched!(
 dispatched!(
     /// See [`kernel::tile_masks`].
     tile_masks(images: (&[u8], &[u8], &[u8]), place: (usize, usize, usize), threshold: u8, masks: &mut [u64]) -> bool
+);
+dispatched!(
+    /// See [`kernel::window_sums`].
+    window_sums(images: (&[u8], &[u8], &[u8]), place: (usize, usize), rows: &[(usize, usize)], floor: u32) -> WindowSums
+);
+dispatched!(
+    /// See [`kernel::change_row`].
+    change_row(current: &[u8], one: &[u8], other: &[u8], sizes: &mut [u8])
+);
+dispatched!(
+    /// See [`kernel::change_of_run`].
+    change_of_run(images: (&[u8], &[u8], &[u8]), begin: usize, length: usize) -> (u32, u8)
 );

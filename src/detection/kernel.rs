@@ -14,23 +14,22 @@ const SEGMENTS_MAX: usize = 64;
 /// Lanes of the running maximum: they stay in registers.
 const LANES: usize = 64;
 
-/// Tiles of one band (up to [`TILE_HEIGHT_PX`] rows) that change by more than their threshold: `tile_max` gets
-/// the largest |current − previous| of those, and something at or below the threshold for all others.
-/// `false`: none, and `tile_max` is all zero.
+/// Tiles of one band (up to [`TILE_HEIGHT_PX`] rows) in which any |current − previous| is above the tile's threshold:
+/// their `hits` become `true`, all others `false`. Gives whether there is any.
 ///
 /// Rows are read straight through, 256 pixels at a time: one comparison with the lowest threshold of the tiles
-/// they touch decides for all; only where it fails is a tile looked at. (A running maximum per column, or rows
-/// side by side, measured 10–120 % slower than this, which reads at the speed of memory.)
+/// they touch decides for all; only where it fails is a tile looked at, and only until it is hit. (A running
+/// maximum per column, or rows side by side, measured 10–120 % slower than this, which reads at the speed of memory.)
 #[inline(always)]
 pub fn changed_tiles(
     current: &[u8],
     previous: &[u8],
     width: usize,
     thresholds: &[u8],
-    tile_max: &mut [u8],
+    hits: &mut [bool],
 ) -> bool {
     const TILES: usize = SEGMENT_PX / TILE_WIDTH_PX;
-    tile_max.fill(0);
+    hits.fill(false);
     let width = width.max(1);
     // Beyond this many segments a row's last ones are always looked at.
     let mut lowest = [0u8; SEGMENTS_MAX];
@@ -41,18 +40,35 @@ pub fn changed_tiles(
     for (c_row, p_row) in current.chunks(width).zip(previous.chunks(width)) {
         let segments = c_row.chunks(SEGMENT_PX).zip(p_row.chunks(SEGMENT_PX));
         let limits = lowest.iter().copied().chain(std::iter::repeat(0));
-        for ((c, p), (lowest, most)) in segments.zip(limits.zip(tile_max.chunks_mut(TILES))) {
+        let tiles = thresholds.chunks(TILES).zip(hits.chunks_mut(TILES));
+        for ((c, p), (lowest, (thresholds, hits))) in segments.zip(limits.zip(tiles)) {
             if !changes_more(c, p, lowest) {
                 continue;
             }
             any = true;
-            for ((c, p), most) in c.chunks(TILE_WIDTH_PX).zip(p.chunks(TILE_WIDTH_PX)).zip(most) {
-                let change = c.iter().zip(p).fold(0u8, |most, (c, p)| most.max(c.abs_diff(*p)));
-                *most = (*most).max(change);
+            let pieces = c.chunks(TILE_WIDTH_PX).zip(p.chunks(TILE_WIDTH_PX));
+            for ((c, p), (threshold, hit)) in pieces.zip(thresholds.iter().zip(hits)) {
+                *hit = *hit || tile_changes_more(c, p, *threshold);
             }
         }
     }
     any
+}
+
+/// Whether |current − previous| exceeds a limit anywhere in a row of a tile.
+#[inline(always)]
+fn tile_changes_more(current: &[u8], previous: &[u8], limit: u8) -> bool {
+    if let (Ok(c), Ok(p)) = (
+        <&[u8; TILE_WIDTH_PX]>::try_from(current),
+        <&[u8; TILE_WIDTH_PX]>::try_from(previous),
+    ) {
+        let mut over = [0u8; TILE_WIDTH_PX];
+        for ((over, c), p) in over.iter_mut().zip(c).zip(p) {
+            *over = c.abs_diff(*p).saturating_sub(limit);
+        }
+        return over.iter().fold(0, |any, over| any | over) != 0;
+    }
+    current.iter().zip(previous).any(|(c, p)| c.abs_diff(*p) > limit)
 }
 
 /// Whether |current − previous| exceeds a limit anywhere in a piece of a row.
@@ -108,11 +124,34 @@ pub fn change_mask(current: &[u8], before: &[u8], after: &[u8], threshold: u8) -
     for (i, eight) in flags.chunks_exact(8).take(current.len().div_ceil(8)).enumerate() {
         let mut bytes = [0u8; 8];
         bytes.copy_from_slice(eight);
-        // Gathers the low bits of eight bytes into the top byte.
-        let bits = u64::from_le_bytes(bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56;
-        mask |= bits << (8 * i);
+        mask |= low_bits(bytes) << (8 * i);
     }
     mask
+}
+
+/// [`change_mask`] of a row of a tile.
+#[inline(always)]
+fn tile_row_mask(
+    c: &[u8; TILE_WIDTH_PX],
+    a: &[u8; TILE_WIDTH_PX],
+    b: &[u8; TILE_WIDTH_PX],
+    threshold: u8,
+) -> u64 {
+    let mut flags = [0u8; TILE_WIDTH_PX];
+    for (((flag, c), a), b) in flags.iter_mut().zip(c).zip(a).zip(b) {
+        *flag = u8::from(change(*c, *a, *b) > threshold);
+    }
+    let (eights, _) = flags.as_chunks::<8>();
+    eights
+        .iter()
+        .rev()
+        .fold(0, |mask, eight| (mask << 8) | low_bits(*eight))
+}
+
+/// The low bits of eight bytes.
+#[inline(always)]
+fn low_bits(bytes: [u8; 8]) -> u64 {
+    u64::from_le_bytes(bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56
 }
 
 /// The masks of [`change_mask`] for the rows of one tile: `masks.len()` rows from `begin` on, `stride` apart, `width`
@@ -141,6 +180,7 @@ pub fn tile_masks(
             <&[u8; TILE_WIDTH_PX]>::try_from(b),
         ) {
             (Ok(c), Ok(a), Ok(b)) if !changes_beyond(c, a, b, threshold) => 0,
+            (Ok(c), Ok(a), Ok(b)) => tile_row_mask(c, a, b, threshold),
             _ => change_mask(c, a, b, threshold),
         };
         any |= *mask;
@@ -212,6 +252,143 @@ pub fn beyond(current: &[u8], bright: &mut [u8], dark: &mut [u8], reach: usize, 
     change.iter().fold(0, |most, change| most.max(*change))
 }
 
+/// Sums over the pixels of a window, each with the weight max(0, [`WEIGHT_STEPS`]·|change| − floor).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct WindowSums {
+    /// Σ weight.
+    pub sum: u64,
+    /// Σ weight·column, Σ weight·row.
+    pub first: [u64; 2],
+    /// Σ weight·column², Σ weight·column·row, Σ weight·row².
+    pub second: [u64; 3],
+    /// Pixels with a weight.
+    pub count: u64,
+}
+
+/// Steps of a weight per level.
+pub const WEIGHT_STEPS: u32 = 8;
+/// A window is no wider and no higher than this, pixels: its sums fit 32 bits in each of [`SUM_LANES`] lanes.
+pub const WINDOW_MAX_PX: usize = 64;
+/// Lanes of the sums.
+const SUM_LANES: usize = 8;
+
+/// [`WindowSums`] with columns and rows counted from `begin`: row y has the columns `rows[y]` (first and length, at most
+/// [`WINDOW_MAX_PX`] in all), rows are `stride` apart. Rows that an image lacks count nothing.
+#[inline(always)]
+pub fn window_sums(
+    (current, one, other): (&[u8], &[u8], &[u8]),
+    (begin, stride): (usize, usize),
+    rows: &[(usize, usize)],
+    floor: u32,
+) -> WindowSums {
+    let (mut sum, mut by_x, mut by_y) = ([0u32; SUM_LANES], [0u32; SUM_LANES], [0u32; SUM_LANES]);
+    let (mut by_xx, mut by_xy, mut by_yy) = ([0u32; SUM_LANES], [0u32; SUM_LANES], [0u32; SUM_LANES]);
+    let mut count = [0u32; SUM_LANES];
+    for (y, (first, length)) in (0u32..).zip(rows) {
+        let from = begin + y as usize * stride;
+        let mut sizes = [0u8; WINDOW_MAX_PX];
+        row_in_window((current, one, other), from, (*first, *length), &mut sizes);
+        let end = (first + length).min(WINDOW_MAX_PX).div_ceil(SUM_LANES);
+        let (eights, _) = sizes.as_chunks::<SUM_LANES>();
+        let (mut row_sum, mut row_by_x) = ([0u32; SUM_LANES], [0u32; SUM_LANES]);
+        for (block, eight) in eights.iter().enumerate().take(end).skip(first / SUM_LANES) {
+            for i in 0..SUM_LANES {
+                let x = (block * SUM_LANES + i) as u32;
+                let weight = (WEIGHT_STEPS * u32::from(eight[i])).saturating_sub(floor);
+                row_sum[i] += weight;
+                row_by_x[i] += weight * x;
+                by_xx[i] += weight * x * x;
+                count[i] += u32::from(weight > 0);
+            }
+        }
+        for i in 0..SUM_LANES {
+            sum[i] += row_sum[i];
+            by_x[i] += row_by_x[i];
+            by_y[i] += row_sum[i] * y;
+            by_xy[i] += row_by_x[i] * y;
+            by_yy[i] += row_sum[i] * y * y;
+        }
+    }
+    let all = |lanes: [u32; SUM_LANES]| lanes.iter().map(|lane| u64::from(*lane)).sum();
+    WindowSums {
+        sum: all(sum),
+        first: [all(by_x), all(by_y)],
+        second: [all(by_xx), all(by_xy), all(by_yy)],
+        count: all(count),
+    }
+}
+
+/// The size of the change of a row of a window that begins at `from`, 0 outside the columns `first .. first + length`.
+#[inline(always)]
+fn row_in_window(
+    (current, one, other): (&[u8], &[u8], &[u8]),
+    from: usize,
+    (first, length): (usize, usize),
+    sizes: &mut [u8; WINDOW_MAX_PX],
+) {
+    let whole = |all: &'_ [u8]| -> Option<[u8; WINDOW_MAX_PX]> {
+        all.get(from..from + WINDOW_MAX_PX)?.try_into().ok()
+    };
+    let (low, length) = (
+        first.min(WINDOW_MAX_PX),
+        length.min(WINDOW_MAX_PX.saturating_sub(first)),
+    );
+    if let (Some(c), Some(a), Some(b)) = (whole(current), whole(one), whole(other)) {
+        for i in 0..WINDOW_MAX_PX {
+            let inside = (i as u8).wrapping_sub(low as u8) < length as u8;
+            sizes[i] = if inside { change(c[i], a[i], b[i]) } else { 0 };
+        }
+        return;
+    }
+    let piece = from + low..from + low + length;
+    if let (Some(c), Some(a), Some(b), Some(sizes)) = (
+        current.get(piece.clone()),
+        one.get(piece.clone()),
+        other.get(piece),
+        sizes.get_mut(low..low + length),
+    ) {
+        change_row(c, a, b, sizes);
+    }
+}
+
+/// Sum and largest size of the change of `length` pixels from `begin` on; (0, 0) where an image ends before.
+#[inline(always)]
+pub fn change_of_run((current, one, other): (&[u8], &[u8], &[u8]), begin: usize, length: usize) -> (u32, u8) {
+    const BLOCK: usize = 32;
+    let (mut sum, mut peak) = (0u32, 0u8);
+    let (mut from, end) = (begin, begin + length);
+    while from < end {
+        let mut sizes = [0u8; BLOCK];
+        let whole = |all: &'_ [u8]| -> Option<[u8; BLOCK]> { all.get(from..from + BLOCK)?.try_into().ok() };
+        let left = (end - from).min(BLOCK);
+        if let (Some(c), Some(a), Some(b)) = (whole(current), whole(one), whole(other)) {
+            for i in 0..BLOCK {
+                sizes[i] = if (i as u8) < left as u8 {
+                    change(c[i], a[i], b[i])
+                } else {
+                    0
+                };
+            }
+        } else if let (Some(c), Some(a), Some(b)) =
+            (current.get(from..end), one.get(from..end), other.get(from..end))
+        {
+            change_row(c, a, b, &mut sizes);
+        }
+        sum += sizes.iter().map(|size| u32::from(*size)).sum::<u32>();
+        peak = sizes.iter().fold(peak, |peak, size| peak.max(*size));
+        from += BLOCK;
+    }
+    (sum, peak)
+}
+
+/// The size of the change of a row piece, pixel by pixel.
+#[inline(always)]
+pub fn change_row(current: &[u8], one: &[u8], other: &[u8], sizes: &mut [u8]) {
+    for (((size, c), a), b) in sizes.iter_mut().zip(current).zip(one).zip(other) {
+        *size = change(*c, *a, *b);
+    }
+}
+
 /// Change of one pixel against both references: the smaller of the two when they agree in sign, else 0.
 #[inline(always)]
 pub fn change(current: u8, before: u8, after: u8) -> u8 {
@@ -223,6 +400,7 @@ pub fn change(current: u8, before: u8, after: u8) -> u8 {
 #[cfg(test)]
 mod tests {
     use crate::detection::dispatch::{Isa, Kernels};
+    use crate::detection::kernel;
     use proptest::prelude::*;
 
     proptest! {
@@ -235,9 +413,8 @@ mod tests {
             let (c, a, b) = (&bytes[..size], &bytes[size..2 * size], &bytes[2 * size..3 * size]);
             let run = |isa: Isa| {
                 let kernels = Kernels::new(isa);
-                let mut tiles = vec![7; width.div_ceil(32)];
+                let mut tiles = vec![true; width.div_ceil(32)];
                 kernels.changed_tiles(c, a, width, &vec![threshold; width.div_ceil(32)], &mut tiles);
-                let columns: Vec<bool> = tiles.iter().map(|most| *most > threshold).collect();
                 let mut rows = [0; 8];
                 kernels.tile_masks((c, a, b), (0, width, 32), threshold, &mut rows);
                 let first: Vec<u64> = (0..8)
@@ -251,7 +428,33 @@ mod tests {
                 kernels.range_of_rows((a, b), (0, 1, 1), &mut bright, &mut dark);
                 let most = kernels.beyond(c, &mut bright, &mut dark, 3, &mut beyond);
                 assert_eq!(Some(&most), beyond.iter().max());
-                (columns, tiles, masks, kernels.clipped_change_sum(c, a, clip), kernels.read_both(c, a), beyond)
+                let window: Vec<(usize, usize)> = (0..8).map(|y| (y % 3, (width - 3).min(5 * y))).collect();
+                let sums = kernels.window_sums((c, a, b), (0, width), &window, u32::from(clip));
+                let mut sizes = vec![0; size];
+                kernels.change_row(c, a, b, &mut sizes);
+                let mut sums_by_hand = kernel::WindowSums::default();
+                for (y, (first, length)) in window.iter().enumerate() {
+                    for x in *first..(first + length).min(kernel::WINDOW_MAX_PX) {
+                        let weight = (8 * u64::from(sizes[y * width + x])).saturating_sub(u64::from(clip));
+                        sums_by_hand.sum += weight;
+                        sums_by_hand.count += u64::from(weight > 0);
+                        let (x, y) = (x as u64, y as u64);
+                        for (sum, by) in sums_by_hand.first.iter_mut().zip([x, y]) {
+                            *sum += weight * by;
+                        }
+                        for (sum, by) in sums_by_hand.second.iter_mut().zip([x * x, x * y, y * y]) {
+                            *sum += weight * by;
+                        }
+                    }
+                }
+                assert_eq!(sums, sums_by_hand);
+                for (begin, length) in [(0, 5), (width, width), (size - 7, 7)] {
+                    let run = &sizes[begin..begin + length];
+                    let by_hand = (run.iter().map(|v| u32::from(*v)).sum::<u32>(), *run.iter().max().unwrap());
+                    assert_eq!(kernels.change_of_run((c, a, b), begin, length), by_hand);
+                }
+                let both = (kernels.clipped_change_sum(c, a, clip), kernels.read_both(c, a));
+                (tiles, masks, both, sizes, beyond)
             };
             let portable = run(Isa::Portable);
             let by_hand = (0..width.div_ceil(32)).map(|tile| {
@@ -264,7 +467,7 @@ mod tests {
                 let (low, high) = levels.fold((255, 0), |(low, high), v| (v.min(&low).to_owned(), v.max(&high).to_owned()));
                 c[i].saturating_sub(high).max(low.saturating_sub(c[i]))
             });
-            prop_assert!(portable.5[3..size - 3].iter().copied().eq(outside));
+            prop_assert!(portable.4[3..size - 3].iter().copied().eq(outside));
             for isa in Isa::available() {
                 prop_assert_eq!(&run(*isa), &portable, "{:?}", isa);
             }
