@@ -3,7 +3,7 @@
 use std::cell::RefCell;
 
 use argmin::core::{CostFunction, Error, Executor, Gradient};
-use argmin::solver::linesearch::{BacktrackingLineSearch, condition::ArmijoCondition};
+use argmin::solver::linesearch::MoreThuenteLineSearch;
 use argmin::solver::neldermead::NelderMead;
 use argmin::solver::quasinewton::BFGS;
 
@@ -33,7 +33,7 @@ struct Recorded<'a> {
 
 impl Recorded<'_> {
     fn at(&self, delays: &[f64]) -> Result<f64, Error> {
-        // argmin's backtracking has no limit of its own: an error ends it. (In the first simplex Nelder–Mead would
+        // argmin's line search has no limit of its own: an error ends it. (In the first simplex Nelder–Mead would
         // panic on one, but a budget is larger than a simplex.)
         if self.trace.borrow().len() >= self.evaluations_max {
             return Err(Error::msg("out of evaluations"));
@@ -99,8 +99,7 @@ pub fn search(
             let _outcome = nelder_mead(recorded(), start);
         }
         Optimizer::QuasiNewton => {
-            // Backtracking alone does not keep BFGS's matrix positive: where it is stuck, it starts afresh from the
-            // best point with a shorter first step.
+            // Where it is stuck at a kink of the cost, it starts afresh from the best point with a shorter first step.
             let mut from = start.to_vec();
             for first_step in [0.5, 0.2, 0.05] {
                 let _outcome = quasi_newton(recorded(), &from, first_step);
@@ -138,11 +137,13 @@ fn quasi_newton(problem: Recorded<'_>, start: &[f64], first_step: f64) -> Result
     let inverse: Vec<Vec<f64>> = (0..n)
         .map(|i| (0..n).map(|j| if i == j { diagonal } else { 0.0 }).collect())
         .collect();
-    let line = BacktrackingLineSearch::new(ArmijoCondition::new(1e-4)?).rho(0.5)?;
+    // The cost is nearly a cone: far from its tip it has no curvature, and a step that merely descends would turn
+    // BFGS's matrix indefinite. The strong Wolfe conditions keep it positive.
+    let line = MoreThuenteLineSearch::new().with_c(1e-4, 0.5)?;
     let solver = BFGS::new(line)
         .with_tolerance_grad(1e-6)?
         .with_tolerance_cost(1e-9)?;
-    // A third of the budget for each attempt: argmin's backtracking has no limit of its own.
+    // A third of the budget for each attempt: argmin's line search has no limit of its own.
     let share = Recorded {
         evaluations_max: problem
             .evaluations_max

@@ -90,7 +90,11 @@ pub(super) fn options(trajectory: TrajectoryModel, optimizer: Optimizer) -> Kim2
         samples: 2,
         sigma_px: 1.0,
         seed: 7,
-        evaluations_max: 90,
+        // A gradient costs four evaluations.
+        evaluations_max: match optimizer {
+            Optimizer::QuasiNewton => 210,
+            Optimizer::NelderMead => 90,
+        },
     }
 }
 
