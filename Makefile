@@ -1,6 +1,6 @@
 # make demo   installs what the build needs, builds, replays the bundled recording, prints its pitches
 # make test   every test
-# make install   program, unit, sysctl, udev, sysusers and tmpfiles below DESTDIR
+# make install   program, unit, sysctl, udev, sysusers, tmpfiles, manual pages and completions below DESTDIR
 # make bench  every benchmark (ratios against a named baseline of the same run)
 .PHONY: demo test bench packages lint install
 
@@ -34,3 +34,7 @@ install:
 	install -D -m 644 systemd/70-pitchd-usb3vision.rules $(DESTDIR)/usr/lib/udev/rules.d/70-pitchd-usb3vision.rules
 	install -D -m 644 systemd/pitchd.sysusers.conf $(DESTDIR)/usr/lib/sysusers.d/pitchd.conf
 	install -D -m 644 systemd/pitchd.tmpfiles.conf $(DESTDIR)/usr/lib/tmpfiles.d/pitchd.conf
+	install -d $(DESTDIR)/usr/share/man/man1 $(DESTDIR)/usr/share/bash-completion/completions $(DESTDIR)/usr/share/zsh/vendor-completions
+	$(DESTDIR)/usr/bin/pitchd man --out $(DESTDIR)/usr/share/man/man1
+	$(DESTDIR)/usr/bin/pitchd completions bash > $(DESTDIR)/usr/share/bash-completion/completions/pitchd
+	$(DESTDIR)/usr/bin/pitchd completions zsh > $(DESTDIR)/usr/share/zsh/vendor-completions/_pitchd

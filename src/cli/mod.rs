@@ -18,6 +18,7 @@ mod init;
 mod recover;
 mod replay;
 mod run;
+mod shell_files;
 mod simulate;
 mod solve;
 mod solving;
@@ -52,12 +53,16 @@ pub enum Command {
     Check(check::CheckArgs),
     /// Serve frames as a real GigE Vision camera on the network.
     Emulate(emulate::EmulateArgs),
+    /// Print a shell's completion script.
+    Completions(shell_files::CompletionsArgs),
     /// Score results against truth; the estimators' own experiments.
     Evaluate(evaluate::EvaluateArgs),
     /// Write analyst files (Statcast, TrackMan, JSON lines) from results.
     Export(export::ExportArgs),
     /// Build a session from folders of images or from video files.
     Import(import::ImportArgs),
+    /// Write manual pages.
+    Man(shell_files::ManArgs),
     /// Replay a recorded session through the live pipeline: pitches, calibration, report.
     Replay(replay::ReplayArgs),
     /// Write a first configuration from the cameras found.
@@ -83,6 +88,8 @@ impl Cli {
         match &self.command {
             Command::Cameras(args) => cameras::run(args),
             Command::Check(args) => check::run(args),
+            Command::Completions(args) => shell_files::completions(args),
+            Command::Man(args) => shell_files::man(args),
             Command::Init(args) => init::run(args),
             Command::Run(args) => run::run(args),
             Command::Emulate(args) => emulate::run(args),
