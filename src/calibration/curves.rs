@@ -94,6 +94,13 @@ impl Curves {
         }
         sum.0 / f64::from(sum.1.max(1))
     }
+
+    /// Longest time between that and a curve of the camera, seconds.
+    pub fn half_span_s(&self, camera: usize) -> f64 {
+        let middle_s = self.middle_s(camera);
+        let own = self.of.iter().filter_map(|p| p.get(camera)?.as_ref());
+        own.map(|c| (c.middle_s() - middle_s).abs()).fold(0.0, f64::max)
+    }
 }
 
 fn image_curve(

@@ -22,6 +22,8 @@ pub struct InitialOptions {
     pub polish_steps: usize,
     /// Seed of the robust sampling.
     pub seed: u64,
+    /// Which partner of the reference camera the ball alone is to place first, by pitches in common.
+    pub partner: usize,
 }
 
 impl Default for InitialOptions {
@@ -31,6 +33,7 @@ impl Default for InitialOptions {
             samples: 10,
             polish_steps: 6,
             seed: 1,
+            partner: 0,
         }
     }
 }
@@ -137,12 +140,7 @@ fn ball_drafts(
     };
     let mut evidence_ball = evidence(rig, curves, none.clone());
     evidence_ball.slack_px = 0.05;
-    let found = from_ball(
-        rig,
-        &mut evidence_ball,
-        anchor,
-        (options.seed, options.polish_steps),
-    )?;
+    let found = from_ball(rig, &mut evidence_ball, anchor, options)?;
     let mut drafts = Vec::new();
     for scored in found {
         let score_px = evidence_ball.score_px(&scored.1);

@@ -5,7 +5,7 @@ use super::PitchTracks;
 use crate::flight::equations::{Loss, Sighting};
 use crate::flight::sighting::{CameraModel, Sight};
 use crate::flight::solve::{FlightState, KEEP_LIMIT, epoch, fit_flight};
-use crate::flight::{FlightOptions, Trajectory, linear_start};
+use crate::flight::{FlightOptions, SolvedFlight, Trajectory, linear_start};
 use crate::scene::Track;
 
 /// Slack for cameras that are not yet at their best, pixels: a calibration from two pitches is off by this
@@ -22,6 +22,9 @@ const SPEED_MPS: (f64, f64) = (12.0, 55.0);
 /// needs twenty times as much.
 const DRAG_MARGIN: f64 = 0.2;
 const LIFT_SIGMAS: f64 = 5.0;
+/// The same for the forces that a flight's acceleration tells, with room for a world scaled by a fifth too much.
+const FORCE_DRAG_MARGIN: f64 = 0.25;
+const FORCE_LIFT_MOST: f64 = 0.7;
 
 /// One track with its camera and its span in true time.
 struct Seen<'a> {
@@ -205,6 +208,26 @@ fn share(cameras: &[CameraModel], seen: &[Seen], track: usize, path: &Trajectory
             Sight::new(&cameras[own.camera], p, path).is_ok_and(|s| loss.apply(s.distance2).1 > 0.5)
         });
     fits.count() as f64 / own.track.points.len().max(1) as f64
+}
+
+/// Why no ball's forces bend a flight so, in words. A free enough flight fits points in a world of any scale; its
+/// own acceleration tells: CL of a spinning ball ends at 1/2.32 (domain §2).
+pub fn unphysical(flight: &SolvedFlight, options: &FlightOptions) -> Option<String> {
+    let (begin, end) = flight.observed_s;
+    let path = &flight.trajectory;
+    let v = path.velocity_mps(0.5 * (begin + end));
+    let mut force = (path.velocity_mps(end) - path.velocity_mps(begin)) / (end - begin);
+    force.z += options.physics.gravity_mps2;
+    let pressure = options.physics.drag_per_m * v.norm_squared();
+    let along = v.normalize();
+    let drag = -force.dot(&along) / pressure;
+    let lift = (force - force.dot(&along) * along).norm() / pressure;
+    let far = (drag - options.prior.drag_coefficient).abs() > FORCE_DRAG_MARGIN;
+    // Also what is not a number.
+    (far || !(lift < FORCE_LIFT_MOST)).then(|| {
+        let speed = v.norm();
+        format!("at {speed:.0} m/s it brakes and bends with Cd {drag:.2} and CL {lift:.2}")
+    })
 }
 
 /// Why a flight is no pitched ball's, in words; `None` where it may be one.

@@ -1,6 +1,7 @@
 //! Tracks in, delays and poses out.
 
 pub mod association;
+mod ball_world;
 pub mod curves;
 mod delay_search;
 pub mod error;

@@ -1,16 +1,16 @@
 //! The calibration as a recipe in numbered stages: tracks in, poses, delays and flights out.
 
 use super::association::{AssociationOptions, associate};
+use super::ball_world::{check_scale, rescale};
 use super::initial::{InitialOptions, hypotheses};
 use super::joint::{self, Candidate, JointOptions, JointSolution, WrongTrack};
 use super::matching::{implausible, match_tracks};
-use super::metric::Motion;
-use super::self_calibration::make_pitches;
+use super::resection::LANDMARKS_NEEDED;
 use super::sweep::sweep;
 use super::{CalibrationError, InitialEstimate, PitchTracks};
 use crate::flight::sighting::CameraModel;
 use crate::flight::{FlightOptions, SolvedFlight, position_sigma_m, solve_flight};
-use crate::scene::{Calibration, Rig, Track, WorldFrame};
+use crate::scene::{Calibration, Rig, Track};
 
 /// Options of every stage.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -61,10 +61,6 @@ pub struct CalibrationOutcome {
 /// A start is finished too when its cost is within this factor of the best one's.
 const RIVAL_FACTOR: f64 = 1.2;
 
-/// Most new starts of a world without landmarks, and the gain in −2·ln of the density for which the next is made.
-const RESCALINGS: usize = 3;
-const SURPRISE_NOTICED: f64 = 1.0;
-
 /// A flight whose middle is less sure than this says nothing of a pitch, metres.
 const POSITION_SIGMA_MAX_M: f64 = 0.5;
 
@@ -79,18 +75,9 @@ pub fn calibrate(
 ) -> Result<CalibrationOutcome, CalibrationError> {
     // 1. Tracks of several cameras that are one pitch.
     let pitches = associate(rig, tracks, &options.association).pitches;
-    // 2.-5. The usual way; where it leads nowhere or leaves most tracks unexplained, the sweep, if it is better.
-    let usual = by_hypotheses(rig, tracks, pitches, options);
-    let (pitches, solution, notes) = match usual {
-        Ok(found) if is_sound(rig, tracks, &found.1, options) => found,
-        other => match (by_sweep(rig, tracks, options), other) {
-            (Some(swept), Ok(found)) if !is_better(rig, &swept.1, &found.1, options) => found,
-            (Some(swept), _) => swept,
-            (None, other) => other?,
-        },
-    };
+    // 2.-5. The usual way, or another where it leads nowhere or leaves most tracks unexplained.
+    let (pitches, solution, notes) = find(rig, tracks, pitches, options)?;
     // 6. A camera whose delay stays open is left out where two others remain; else the rig is refused.
-    let solution = rescale(rig, &pitches, solution, options);
     let (solution, open) = leave_open_out(rig, &pitches, solution, options)?;
     check_scale(rig, &solution)?;
     // 7. Flights of the pitches that the calibration does not rest on.
@@ -103,6 +90,29 @@ pub fn calibrate(
 
 /// Pitches, solution and what a person must know.
 type Found = (Vec<PitchTracks>, JointSolution, Vec<String>);
+
+/// By hypotheses; else, where the ball alone places the cameras, from another pair of them; else by the sweep,
+/// where that is better.
+fn find(
+    rig: &Rig,
+    tracks: &[Track],
+    pitches: Vec<PitchTracks>,
+    options: &CalibrationOptions,
+) -> Result<Found, CalibrationError> {
+    let sound = |found: &Found| is_sound(rig, tracks, &found.1, options);
+    let usual = by_hypotheses(rig, tracks, pitches.clone(), options);
+    if usual.as_ref().is_ok_and(sound) {
+        return usual;
+    }
+    if let Some(found) = by_other_partners(rig, tracks, &pitches, options).find(sound) {
+        return Ok(found);
+    }
+    match (by_sweep(rig, tracks, options), usual) {
+        (Some(swept), Ok(found)) if !is_better(rig, &swept.1, &found.1, options) => Ok(found),
+        (Some(swept), _) => Ok(swept),
+        (None, usual) => usual,
+    }
+}
 
 fn by_hypotheses(
     rig: &Rig,
@@ -126,7 +136,30 @@ fn by_hypotheses(
     let (solution, notes) = choose(rig, &pitches, candidates, options, refusal)?;
     // 5. Where tracks are left over or do not fit: tracks to pitches anew, by geometry.
     let (pitches, solution) = rematch(rig, tracks, pitches, solution, options);
+    let solution = rescale(rig, &pitches, solution, options);
     Ok((pitches, solution, notes))
+}
+
+/// The same from other pairs of cameras, where the ball alone has to place them.
+fn by_other_partners(
+    rig: &Rig,
+    tracks: &[Track],
+    pitches: &[PitchTracks],
+    options: &CalibrationOptions,
+) -> impl Iterator<Item = Found> {
+    let marked = rig
+        .cameras
+        .iter()
+        .filter(|c| c.landmarks.len() >= LANDMARKS_NEEDED);
+    let partners = match marked.count() {
+        0 | 1 => rig.cameras.len() - 1,
+        _ => 1,
+    };
+    (1..partners).filter_map(move |partner| {
+        let mut options = options.clone();
+        options.initial.partner = partner;
+        by_hypotheses(rig, tracks, pitches.to_vec(), &options).ok()
+    })
 }
 
 fn by_sweep(rig: &Rig, tracks: &[Track], options: &CalibrationOptions) -> Option<Found> {
@@ -164,28 +197,6 @@ fn is_sound(rig: &Rig, tracks: &[Track], solution: &JointSolution, options: &Cal
     3 * explained(solution) >= placed
         && joint::check_delays(rig, solution, &options.joint).is_ok()
         && check_scale(rig, solution).is_ok()
-}
-
-/// Refuses a world without landmarks whose flights no ball flies: with its scale wrong, a free enough flight
-/// fits any points.
-fn check_scale(rig: &Rig, solution: &JointSolution) -> Result<(), CalibrationError> {
-    if solution.calibration.world != WorldFrame::ReferenceCamera {
-        return Ok(());
-    }
-    let options = FlightOptions::for_site(&rig.site, solution.calibration.world);
-    let reasons: Vec<String> = solution
-        .flights
-        .iter()
-        .filter_map(|f| implausible(&f.trajectory, &options))
-        .collect();
-    match reasons.first() {
-        Some(reason) if 2 * reasons.len() > solution.flights.len() => Err(CalibrationError::NoPitches {
-            implausible: reasons.len(),
-            flights: solution.flights.len(),
-            reason: reason.clone(),
-        }),
-        _ => Ok(()),
-    }
 }
 
 fn choose(
@@ -258,54 +269,6 @@ fn rematch(
     }
 }
 
-/// A world without landmarks once more from the scale and the up that make its own flights pitches: a start that
-/// was off by a quarter ends in a valley of its own, where lift stands for gravity. The likelier end stands.
-fn rescale(
-    rig: &Rig,
-    pitches: &[PitchTracks],
-    mut solution: JointSolution,
-    options: &CalibrationOptions,
-) -> JointSolution {
-    if solution.calibration.world != WorldFrame::ReferenceCamera {
-        return solution;
-    }
-    for _ in 0..RESCALINGS {
-        match rescaled(rig, pitches, &solution, options) {
-            Some(better) => solution = better,
-            None => break,
-        }
-    }
-    solution
-}
-
-/// One such start to its end; `None` where that is not the likelier one.
-fn rescaled(
-    rig: &Rig,
-    pitches: &[PitchTracks],
-    solution: &JointSolution,
-    options: &CalibrationOptions,
-) -> Option<JointSolution> {
-    let motions: Vec<Motion> = solution
-        .flights
-        .iter()
-        .map(|f| {
-            let middle_s = 0.5 * (f.observed_s.0 + f.observed_s.1);
-            Motion {
-                velocity: f.trajectory.velocity_mps(middle_s),
-                acceleration: f.trajectory.acceleration_mps2(middle_s),
-            }
-        })
-        .collect();
-    let mut start = start_of(rig, &solution.calibration);
-    if !make_pitches(rig, &motions, &mut start.poses) {
-        return None;
-    }
-    let candidate = joint::explore(rig, pitches, &start, &options.joint).ok()?;
-    let again = joint::finish(rig, pitches, candidate, &options.joint).ok()?;
-    let likelier = again.surprise + SURPRISE_NOTICED < solution.surprise;
-    (likelier && again.flights.len() >= solution.flights.len()).then_some(again)
-}
-
 /// Takes cameras with an open delay out, one by one; says which and why.
 fn leave_open_out(
     rig: &Rig,
@@ -335,7 +298,7 @@ fn leave_open_out(
 }
 
 /// A calibration as a start.
-fn start_of(rig: &Rig, calibration: &Calibration) -> InitialEstimate {
+pub(super) fn start_of(rig: &Rig, calibration: &Calibration) -> InitialEstimate {
     let of = |rig_camera: &crate::scene::CameraSetup| calibration.camera(&rig_camera.id);
     let number = |value: fn(&crate::scene::CameraCalibration) -> f64| -> Vec<f64> {
         rig.cameras.iter().map(|c| of(c).map_or(0.0, value)).collect()
@@ -445,7 +408,9 @@ fn doubt(flight: &SolvedFlight, cameras: usize, options: &FlightOptions) -> Opti
 
 #[cfg(test)]
 mod tests {
+    use super::super::matching::unphysical;
     use super::*;
+    use crate::flight::trajectory::DRAG_ROW;
     use crate::simulation::{DetectionNoise, Layout, Scenario, simulate_tracks};
 
     #[test]
@@ -471,6 +436,25 @@ mod tests {
                 );
                 assert!(error.abs() < 4.0 * 175.0 * camera.capture_delay_sigma_s + 1e-9);
             }
+        }
+    }
+
+    /// In a world half its size the same flight falls half as fast: only lift that no ball has can hold it up.
+    #[test]
+    fn a_world_at_half_its_size_has_no_pitches() {
+        let scenario =
+            Scenario::stock(Layout::TwoOpposite, &[-1.7], 4).with_detection(DetectionNoise::gaussian(0.3));
+        let simulated = simulate_tracks(&scenario).unwrap();
+        let outcome = calibrate(&simulated.rig, &simulated.tracks, &CalibrationOptions::default()).unwrap();
+        let options = FlightOptions::default();
+        assert_eq!(outcome.flights.len(), 4);
+        for PitchFlight { flight, .. } in &outcome.flights {
+            assert_eq!(unphysical(flight, &options), None);
+            let mut small = flight.clone();
+            let mut parameters = small.trajectory.parameters().clone();
+            parameters.rows_mut(0, DRAG_ROW).scale_mut(0.5);
+            small.trajectory = small.trajectory.with_parameters(parameters);
+            assert!(unphysical(&small, &options).is_some());
         }
     }
 }

@@ -2,11 +2,12 @@
 
 use super::CalibrationError;
 use super::delay_search::{DelayWindow, delay_window, search_delay, skew_matters};
+use super::initial::InitialOptions;
 use super::metric::{Air, Motion, Upgrade, anchored, upgrade, upright};
 use super::path::{Path, PathPrior};
 use super::polish::{Clock, Evidence, State, Unknown, WithSkew};
 use super::resection::{Sighting, refine_pose};
-use super::two_view::{Pair, two_view_candidates};
+use super::two_view::{Pair, skews_within, two_view_candidates};
 use crate::geometry::{Normalized, Pose, triangulate_dlt};
 use crate::scene::Rig;
 use crate::vision::resection_candidates;
@@ -16,6 +17,8 @@ use nalgebra::{Point3, Vector3};
 pub(crate) const PITCHES_NEEDED: usize = 3;
 /// Points of the paths that a resection takes at most.
 const RESECTION_POINTS: usize = 48;
+/// Places of a camera found by resection that are followed.
+const PLACES_KEPT: usize = 2;
 /// Weight of a violation of physics against the image residuals (both standardised).
 const PENALTY_WEIGHT: f64 = 30.0;
 
@@ -28,8 +31,9 @@ pub(crate) fn from_ball(
     rig: &Rig,
     evidence: &mut Evidence,
     anchor: usize,
-    (seed, polish_steps): (u64, usize),
+    options: &InitialOptions,
 ) -> Result<Vec<Scored>, CalibrationError> {
+    let (seed, polish_steps) = (options.seed, options.polish_steps);
     let others: Vec<usize> = (0..rig.cameras.len()).filter(|&c| c != anchor).collect();
     let mut partners: Vec<(usize, usize)> = others
         .iter()
@@ -45,14 +49,14 @@ pub(crate) fn from_ball(
         });
     }
     let mut drafts: Vec<Scored> = Vec::new();
-    for (common, partner) in partners.iter().copied() {
+    for (common, partner) in partners.iter().copied().skip(options.partner) {
         if common < PITCHES_NEEDED || !drafts.is_empty() {
             break;
         }
         drafts = pair_drafts(rig, evidence, [anchor, partner], (seed, polish_steps))?;
     }
     if drafts.is_empty() {
-        let other = partners[0].1;
+        let other = partners.get(options.partner).unwrap_or(&partners[0]).1;
         return Err(CalibrationError::NoRelativePose {
             first: rig.cameras[anchor].id.clone(),
             second: rig.cameras[other].id.clone(),
@@ -186,57 +190,84 @@ pub(crate) fn by_resection(
     let paths: Vec<Option<Path>> = (0..evidence.curves.of.len())
         .map(|p| Some(evidence.fit(state, p, &placed)?.0))
         .collect();
+    let with_skew = skew_matters(rig, evidence, camera);
     let step_s = 2.0 * window.step_s;
-    let steps = (2.0 * window.half_s / step_s).ceil() as i64;
-    let mut coarse: Vec<Option<(f64, Pose, f64)>> = Vec::new();
-    for i in 0..=steps {
-        let delay_s = window.centre_s - window.half_s + step_s * i as f64;
-        coarse.push(resect_at(evidence, &paths, camera, delay_s)?.map(|(rms, pose)| (rms, pose, delay_s)));
+    let mut floors = Vec::new();
+    for skew in skews_within(with_skew, evidence.curves.half_span_s(camera), step_s) {
+        floors.extend(resection_floors(evidence, &paths, camera, (&window, skew))?);
     }
-    let cost = |i: usize| coarse.get(i).and_then(|c| *c).map_or(f64::INFINITY, |c| c.0);
-    let mut floors: Vec<(f64, Pose, f64)> = (0..coarse.len())
-        .filter(|&i| cost(i) <= i.checked_sub(1).map_or(f64::INFINITY, cost) && cost(i) <= cost(i + 1))
-        .filter_map(|i| coarse[i])
-        .collect();
-    floors.sort_by(|a, b| a.0.total_cmp(&b.0));
-    floors.truncate(2);
+    floors.sort_by(|a, b| a.rms_px.total_cmp(&b.rms_px));
+    let mut kept: Vec<Floor> = Vec::new();
+    for floor in floors {
+        let apart = |k: &Floor| (k.clock.delay_s - floor.clock.delay_s).abs() > 2.5 * step_s;
+        if kept.len() < PLACES_KEPT && kept.iter().all(apart) {
+            kept.push(floor);
+        }
+    }
     let mut states = Vec::new();
-    for (_, pose, delay_s) in floors {
+    for floor in kept {
         let mut next = state.clone();
-        next.poses[camera] = Some(pose);
-        // With a pose, the fine search over paths is sharper, and knows skews.
+        next.poses[camera] = Some(floor.pose);
+        // With a pose, the fine search over paths is sharper.
         let near = DelayWindow {
-            centre_s: delay_s,
+            centre_s: floor.clock.delay_s,
             half_s: 2.0 * step_s,
             ..window
         };
-        let with_skew = skew_matters(rig, evidence, camera);
-        next.clocks[camera] = search_delay(evidence, &next, camera, &near, (with_skew, 1))
-            .first()
-            .map_or(
-                Clock {
-                    delay_s,
-                    skew: 0.0,
-                    zero_s: evidence.curves.middle_s(camera),
-                },
-                |c| c.clock,
-            );
+        let finer = search_delay(evidence, &next, camera, &near, (with_skew, 1));
+        next.clocks[camera] = finer.first().map_or(floor.clock, |c| c.clock);
         states.push(next);
     }
     Ok(states)
+}
+
+/// A camera's pose at a clock where its neighbours in delay fit worse.
+#[derive(Clone, Copy)]
+struct Floor {
+    rms_px: f64,
+    pose: Pose,
+    clock: Clock,
+}
+
+/// The floors along the delays of a window, at one skew.
+fn resection_floors(
+    evidence: &Evidence,
+    paths: &[Option<Path>],
+    camera: usize,
+    (window, skew): (&DelayWindow, f64),
+) -> Result<Vec<Floor>, CalibrationError> {
+    let step_s = 2.0 * window.step_s;
+    let steps = (2.0 * window.half_s / step_s).ceil() as i64;
+    let zero_s = evidence.curves.middle_s(camera);
+    let mut coarse: Vec<Option<Floor>> = Vec::new();
+    for i in 0..=steps {
+        let delay_s = window.centre_s - window.half_s + step_s * i as f64;
+        let clock = Clock {
+            delay_s,
+            skew,
+            zero_s,
+        };
+        coarse.push(resect_at(evidence, paths, camera, clock)?);
+    }
+    let cost = |i: usize| coarse.get(i).and_then(|c| *c).map_or(f64::INFINITY, |c| c.rms_px);
+    Ok((0..coarse.len())
+        .filter(|&i| cost(i) <= i.checked_sub(1).map_or(f64::INFINITY, cost) && cost(i) <= cost(i + 1))
+        .filter_map(|i| coarse[i])
+        .collect())
 }
 
 fn resect_at(
     evidence: &Evidence,
     paths: &[Option<Path>],
     camera: usize,
-    delay_s: f64,
-) -> Result<Option<(f64, Pose)>, CalibrationError> {
+    clock: Clock,
+) -> Result<Option<Floor>, CalibrationError> {
     let mut seen: Vec<(Point3<f64>, Normalized)> = Vec::new();
     for (pitch, path) in paths.iter().enumerate() {
         if let (Some(path), Some(curve)) = (path, evidence.curves.get(pitch, camera)) {
-            let inside = curve.samples.iter().filter(|(s, _)| path.covers(s - delay_s));
-            seen.extend(inside.map(|(s, d)| (path.position(s - delay_s), *d)));
+            let timed = curve.samples.iter().map(|(s, d)| (clock.true_s(*s), *d));
+            let inside = timed.filter(|(t, _)| path.covers(*t));
+            seen.extend(inside.map(|(t, d)| (path.position(t), d)));
         }
     }
     if seen.len() < 12 {
@@ -258,7 +289,11 @@ fn resect_at(
     let fits = resection_candidates(&world, &directions)?.into_iter();
     let best = fits.filter_map(|pose| refine_pose(lens, &sightings, &pose));
     let best = best.min_by(|a, b| a.chi2.total_cmp(&b.chi2));
-    Ok(best.map(|r| (r.rms_px, r.pose)))
+    Ok(best.map(|r| Floor {
+        rms_px: r.rms_px,
+        pose: r.pose,
+        clock,
+    }))
 }
 
 /// Motions in the middle of every path that at least two cameras saw.

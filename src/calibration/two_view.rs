@@ -216,7 +216,17 @@ fn one_a_valley(starts: &[TwoView], step_s: f64, most: usize) -> Vec<TwoView> {
     kept
 }
 
-/// Skews to try: steps that drift by one coarse step over half the session, up to ±50 ppm.
+/// Steps that drift by one coarse step over half a session (`span_s`), up to ±50 ppm.
+pub(crate) fn skews_within(with_skew: WithSkew, span_s: f64, step_s: f64) -> Vec<f64> {
+    if with_skew == WithSkew::No || 50e-6 * span_s < step_s {
+        return vec![0.0];
+    }
+    let step = step_s / span_s;
+    let each_side = (50e-6 / step).ceil().min(12.0) as i64;
+    (-each_side..=each_side).map(|k| k as f64 * step).collect()
+}
+
+/// Skews to try for the second camera.
 fn coarse_skews(pair: &Pair, with_skew: WithSkew, step_s: f64) -> Vec<f64> {
     let [a, b] = pair.cameras;
     let zero_s = pair.curves.middle_s(b);
@@ -226,12 +236,7 @@ fn coarse_skews(pair: &Pair, with_skew: WithSkew, step_s: f64) -> Vec<f64> {
         .into_iter()
         .filter_map(|p| pair.curves.get(p, b));
     let span = middles.map(|c| (c.middle_s() - zero_s).abs()).fold(0.0, f64::max);
-    if with_skew == WithSkew::No || 50e-6 * span < step_s {
-        return vec![0.0];
-    }
-    let step = step_s / span;
-    let each_side = (50e-6 / step).ceil().min(12.0) as i64;
-    (-each_side..=each_side).map(|k| k as f64 * step).collect()
+    skews_within(with_skew, span, step_s)
 }
 
 /// Levenberg–Marquardt over the five numbers of the pose, the delay, and the skew where it matters.
