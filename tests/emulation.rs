@@ -6,7 +6,7 @@ use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use pitchd::emulation::{Drill, Emulator, EmulatorOptions, Faults, ScriptShape, pattern};
+use pitchd::emulation::{Drill, Emulator, EmulatorOptions, Faults, Handing, ScriptShape, pattern};
 
 const SHAPE: ScriptShape = ScriptShape {
     width_px: 320,
@@ -134,6 +134,42 @@ fn aravis_own_tool_reads_and_writes_its_features() {
     ] {
         assert!(text.contains(line), "no `{line}` in:\n{text}");
     }
+}
+
+#[test]
+fn gstreamers_source_takes_its_frames() {
+    let address = Ipv4Addr::new(127, 0, 90, 6);
+    // As root the library behind the source receives through a packet socket.
+    let options = EmulatorOptions {
+        handing: Handing::OneByOne,
+        ..EmulatorOptions::new(address, "SN6")
+    };
+    let _camera = Emulator::start(&options, SHAPE, pattern(SHAPE)).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("frames");
+    let output = Command::new("timeout")
+        .args(["20", "gst-launch-1.0", "-q", "aravissrc", "num-buffers=10"])
+        .args([
+            &format!("camera-name={address}"),
+            "!",
+            "video/x-raw,format=GRAY8,width=320,height=160",
+        ])
+        .args(["!", "filesink", &format!("location={}", file.display())])
+        .output();
+    let there = Command::new("gst-launch-1.0").arg("--version").output().is_ok();
+    let (true, Ok(output)) = (there, output) else {
+        println!("skipped: no gst-launch-1.0 on this machine (Debian: gstreamer1.0-tools)");
+        return;
+    };
+    let bytes = std::fs::read(&file).unwrap_or_default();
+    let expected: Vec<Vec<u8>> = pattern(SHAPE).take(16).map(|f| f.pixels.to_vec()).collect();
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    if said.contains("no element \"aravissrc\"") {
+        println!("skipped: no GStreamer plugin of Aravis on this machine");
+        return;
+    }
+    assert_eq!(bytes.len(), 10 * 320 * 160, "{said}");
+    assert!(bytes.chunks(320 * 160).all(|f| expected.iter().any(|e| e == f)));
 }
 
 #[test]

@@ -1,4 +1,6 @@
-//! The fault drill, in one go: cameras killed, cut off, slowed and doubled while the daemon runs, in namespaces.
+//! The fault drill, in one go and with pitches going on: cameras killed, cut off, slowed and frozen, the disk full, the
+//! reader of the pitches standing still, a broken configuration, and at last the daemon itself killed in mid-pitch. All
+//! in namespaces of its own. No pitch that two healthy cameras saw may be lost, and none may be wrong.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may")]
 
@@ -6,36 +8,161 @@ mod lab;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::process::Command;
-use std::time::{Duration, Instant};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant, SystemTime};
 
 use lab::{Lab, Reaped};
+use pitchd::export::results::read_pitches;
+use pitchd::recording::SessionReader;
+use pitchd::scene::CameraId;
+use pitchd::time::{HostClock, SystemClock};
 
-const CAMERAS: [&str; 2] = ["first", "third"];
+const CAMERAS: [&str; 3] = ["first", "third", "far"];
+/// The session is shown again every so many seconds: two pitches.
+const EVERY_S: f64 = 4.5;
+
+const SCENE: &str = r#"
+seed = 5
+[site]
+field = "professional"
+[landmarks]
+sigma_px = 0.5
+[render]
+preset = "clean"
+lead_s = 0.15
+tail_s = 0.15
+read_noise_dn = 0.4
+electrons_per_dn = 3000.0
+[[pitch]]
+start_s = 1.0
+release_m = [-0.55, 16.6, 1.83]
+speed_mps = 41.0
+target_m = [0.1, 0.95]
+spin_rpm = 2350
+spin_axis_deg = 208
+active_spin = 0.95
+[[pitch]]
+start_s = 3.2
+release_m = [-0.6, 16.75, 1.78]
+speed_mps = 36.0
+target_m = [0.28, 0.5]
+spin_rpm = 2450
+spin_axis_deg = 118
+active_spin = 0.38
+"#;
+
+/// Cropped sensors at 80 fps: position, target, focal length, delay in frames.
+const PLACES: [([f64; 3], [f64; 3], f64, f64); 3] = [
+    ([20.1, 6.2, 3.3], [0.0, 8.6, 0.9], 1190.0, 0.0),
+    ([-19.4, 7.4, 3.6], [0.0, 8.8, 1.0], 1205.0, 0.65),
+    ([17.6, 14.3, 3.1], [0.0, 8.4, 0.9], 1080.0, -0.3),
+];
+
+/// A pitch as it was thrown: plate, seconds after the session's begin, x and z at its front, speed at release.
+struct Thrown {
+    after_s: f64,
+    plate_m: [f64; 2],
+    speed_mps: f64,
+}
+
+fn pitchd(arguments: &[&str]) {
+    let output = Command::new(env!("CARGO_BIN_EXE_pitchd"))
+        .args(arguments)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{arguments:?}: {}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+}
+
+/// Renders the session and tells what was thrown in it.
+fn session(folder: &Path) -> Vec<Thrown> {
+    let mut scene = SCENE.to_owned();
+    for (id, (position, target, focal, delay)) in CAMERAS.iter().zip(PLACES) {
+        scene += &format!(
+            "[[camera]]\nid = \"{id}\"\nwidth_px = 1056\nheight_px = 176\nframe_rate_hz = 80.0\nexposure_s = 0.001\n\
+             position_m = {position:?}\nlook_at_m = {target:?}\ncapture_delay_frames = {delay}\n[camera.intrinsics]\n\
+             fx_px = {focal}\nfy_px = {focal}\ncx_px = 528.0\ncy_px = 88.0\n"
+        );
+    }
+    let path = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    std::fs::write(path("scene.toml"), scene).unwrap();
+    pitchd(&["simulate", &path("scene.toml"), "--frames", "--out", &path("sim")]);
+    let frames = CAMERAS.map(|id| format!("{id}={}", path(&format!("sim/frames/{id}"))));
+    let mut import = vec![
+        "import".to_owned(),
+        path("session"),
+        "--rig".to_owned(),
+        path("sim/rig.toml"),
+    ];
+    for camera in frames {
+        import.extend(["--camera".to_owned(), camera]);
+    }
+    pitchd(&import.iter().map(String::as_str).collect::<Vec<_>>());
+    std::fs::remove_dir_all(path("sim/frames")).unwrap();
+    std::fs::copy(path("sim/rig.toml"), path("rig.toml")).unwrap();
+    let reader = SessionReader::open(&folder.join("session")).unwrap();
+    let begins = CAMERAS.map(|id| {
+        let first = reader
+            .frames(&CameraId::new(id).unwrap())
+            .unwrap()
+            .next()
+            .unwrap();
+        first.frame.stamp.stamped.nanos() - 500_000
+    });
+    let begin_ns = begins.into_iter().min().unwrap();
+    let truth = std::fs::read_to_string(path("sim/truth/truth.json")).unwrap();
+    let truth: serde_json::Value = serde_json::from_str(&truth).unwrap();
+    let pitches = truth["pitches"].as_array().unwrap();
+    let thrown = pitches.iter().map(|p| Thrown {
+        after_s: 1e-9 * (p["plate_time_ns"].as_i64().unwrap() - begin_ns) as f64,
+        plate_m: [0, 1].map(|k| p["plate_front_m"][k].as_f64().unwrap()),
+        speed_mps: p["release_speed_mps"].as_f64().unwrap(),
+    });
+    thrown.collect()
+}
+
+fn unix_s() -> f64 {
+    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+    now.unwrap().as_secs_f64()
+}
 
 struct Drill {
     lab: Lab,
     folder: PathBuf,
+    /// Unix time at which the session first begins.
+    start_s: f64,
+    log: PathBuf,
     daemon: Reaped,
 }
 
-fn emulator(lab: &Lab, folder: &Path, k: usize, faults: &str) -> Reaped {
+fn emulator(lab: &Lab, (folder, start_s): (&Path, f64), k: usize, faults: &str) -> Reaped {
     let (id, address) = (CAMERAS[k], Lab::address(k));
+    let (session, start, every) = (
+        folder.join("session"),
+        format!("{start_s:.3}"),
+        EVERY_S.to_string(),
+    );
     let arguments = [
         "emulate",
-        "pattern:320x160",
-        "--rate",
-        "40",
+        session.to_str().unwrap(),
         "--camera",
         id,
         "--address",
         &address,
+        "--start-at",
+        &start,
+        "--every",
+        &every,
         "--faults",
         faults,
     ];
     let file = |end: &str| folder.join(format!("{id}.{end}"));
+    let urgent = (lab.camera(k), Some(30));
     Reaped(Lab::start(
-        (&lab.camera(k), None),
+        (&urgent.0, urgent.1),
         &arguments,
         &file("out"),
         &file("log"),
@@ -47,54 +174,76 @@ fn say(emulator: &mut Reaped, line: &str) {
     writeln!(pipe, "{line}").unwrap();
 }
 
-impl Drill {
-    fn start(lab: Lab, folder: &Path) -> Self {
-        let (mut rig, mut config) = (
-            String::new(),
-            "rig = \"rig.toml\"\nresults = \"results\"\n[record]\nmode = \"continuous\"\nfolder = \"no-folder\"\n"
-                .to_owned(),
-        );
-        // The recordings' folder is a file: a disk that is gone.
-        std::fs::write(folder.join("no-folder"), "x").unwrap();
-        for (k, id) in CAMERAS.iter().enumerate() {
-            rig += &format!(
-                "[[camera]]\nid = \"{id}\"\nwidth_px = 320\nheight_px = 160\nframe_rate_hz = 40.0\n\
-                 [camera.intrinsics]\nfx_px = 600.0\nfy_px = 600.0\ncx_px = 319.5\ncy_px = 159.5\n"
-            );
-            config += &format!(
-                "[[camera]]\nid = \"{id}\"\naddress = \"{}\"\npacket_size = 8000\nrealtime_priority = 0\n",
-                Lab::address(k)
-            );
+fn signal(child: &Reaped, name: &str) {
+    let id = child.0.id().to_string();
+    assert!(Command::new("kill").args([name, &id]).status().unwrap().success());
+}
+
+fn daemon(lab: &Lab, folder: &Path, (out, log): (&Path, &Path)) -> Reaped {
+    let config = folder.join("pitchd.toml");
+    let arguments = [
+        "-v",
+        "run",
+        "--status-every",
+        "0.2",
+        "--config",
+        config.to_str().unwrap(),
+    ];
+    Reaped(Lab::start((&lab.host(), None), &arguments, out, log))
+}
+
+/// A disk of three megabytes; where this machine does not allow that, a file where the folder should be.
+struct SmallDisk(Option<PathBuf>);
+
+impl SmallDisk {
+    fn new(folder: &Path) -> Self {
+        let path = folder.join("recordings");
+        std::fs::create_dir(&path).unwrap();
+        let mounted = Command::new("mount")
+            .args(["-t", "tmpfs", "-o", "size=3m", "tmpfs"])
+            .arg(&path)
+            .status();
+        if mounted.is_ok_and(|s| s.success()) {
+            return Self(Some(path));
         }
-        std::fs::write(folder.join("rig.toml"), rig).unwrap();
-        std::fs::write(folder.join("pitchd.toml"), config).unwrap();
-        let path = folder.join("pitchd.toml");
-        let arguments = [
-            "-v",
-            "run",
-            "--status-every",
-            "0.2",
-            "--config",
-            path.to_str().unwrap(),
-        ];
-        let (out, log) = (folder.join("out"), folder.join("log"));
-        let daemon = Reaped(Lab::start((&lab.host(), None), &arguments, &out, &log));
-        Self {
-            lab,
-            folder: folder.to_owned(),
-            daemon,
+        println!("no small disk here: the folder is a file instead");
+        std::fs::remove_dir(&path).unwrap();
+        std::fs::write(&path, "x").unwrap();
+        Self(None)
+    }
+}
+
+impl Drop for SmallDisk {
+    fn drop(&mut self) {
+        if let Some(path) = &self.0 {
+            let _ = Command::new("umount").arg(path).status();
         }
     }
+}
 
-    fn log(&self) -> String {
-        std::fs::read_to_string(self.folder.join("log")).unwrap()
+fn configure(folder: &Path) {
+    let mut config = "rig = \"rig.toml\"\nresults = \"results\"\n[calibrate]\nfirst_pitches = 3\nwindow_pitches = 8\n\
+                      every_pitches = 4\n[record]\nmode = \"clips\"\nfolder = \"recordings\"\nmemory_mib = 64\n"
+        .to_owned();
+    for (k, id) in CAMERAS.iter().enumerate() {
+        config += &format!(
+            "[[camera]]\nid = \"{id}\"\naddress = \"{}\"\npacket_size = 8000\nrealtime_priority = 20\n",
+            Lab::address(k)
+        );
+    }
+    std::fs::write(folder.join("pitchd.toml"), config).unwrap();
+}
+
+impl Drill {
+    fn text(&self) -> String {
+        std::fs::read_to_string(&self.log).unwrap()
     }
 
     /// Waits until the log, from now on, has all of `wanted`.
     fn wait(&self, from: usize, wanted: &[&str]) -> usize {
         let until = Instant::now() + Duration::from_secs(40);
         loop {
-            let log = self.log();
+            let log = self.text();
             if wanted.iter().all(|w| log[from..].contains(w)) {
                 return log.len();
             }
@@ -104,127 +253,194 @@ impl Drill {
     }
 
     fn now(&self) -> usize {
-        self.log().len()
+        self.text().len()
     }
 
-    fn signal(&self, name: &str) {
-        let id = self.daemon.0.id().to_string();
-        assert!(Command::new("kill").args([name, &id]).status().unwrap().success());
+    /// The plate times of all pitches thrown within a span of Unix times.
+    fn thrown<'a>(&self, thrown: &'a [Thrown], (from_s, until_s): (f64, f64)) -> Vec<(f64, &'a Thrown)> {
+        let rounds = (0..200).flat_map(|round| thrown.iter().map(move |t| (f64::from(round), t)));
+        let times = rounds.map(|(round, t)| (self.start_s + EVERY_S * round + t.after_s, t));
+        times.filter(|(at, _)| (from_s..until_s).contains(at)).collect()
+    }
+
+    /// Every fault but the last; the disk is full and the reader stands still all the while.
+    fn faults(&self, first: &mut Reaped, third: &mut Reaped) {
+        // kill -9, and back with a clock that began elsewhere.
+        let at = self.now();
+        third.0.kill().unwrap();
+        third.0.wait().unwrap();
+        let at = self.wait(at, &["lost: it does not answer"]);
+        *third = emulator(&self.lab, (&self.folder, self.start_s), 1, "clock_offset_s=50");
+        let at = self.wait(at, &["third Streaming"]);
+
+        // The cable is cut for ten seconds.
+        self.lab.on_host("link set cam1 down");
+        std::thread::sleep(Duration::from_secs(10));
+        self.wait(at, &["lost: it does not answer"]);
+        let at = self.now();
+        self.lab.on_host("link set cam1 up");
+        let at = self.wait(at, &["third Streaming"]);
+
+        // A lossy and reordering network loses few frames and no camera; a freeze is not a loss.
+        say(first, "faults loss=0.01,reorder=0.05,reorder_ms=5");
+        std::thread::sleep(Duration::from_secs_f64(EVERY_S));
+        say(first, "faults loss=0,reorder=0,reorder_ms=0");
+        say(third, "freeze 3");
+        let at = self.wait(at, &["third Degraded"]);
+        let at = self.wait(at, &["third Streaming"]);
+
+        // A broken configuration changes nothing; nor does one that gives two cameras one device. A good one does.
+        let path = self.folder.join("pitchd.toml");
+        let good = std::fs::read_to_string(&path).unwrap();
+        for (text, answer) in [
+            (
+                format!("{good}\nserail = 1\n"),
+                "reload refused, nothing has changed",
+            ),
+            (
+                good.replace(&Lab::address(1), &Lab::address(0)),
+                "reload refused, nothing has changed",
+            ),
+            (
+                good.replace("every_pitches = 4", "every_pitches = 5"),
+                "in use at once: calibrate.every_pitches",
+            ),
+        ] {
+            std::fs::write(&path, text).unwrap();
+            let from = self.now();
+            signal(&self.daemon, "-HUP");
+            self.wait(from, &[answer]);
+        }
+        self.wait(at, &["first Streaming", "third Streaming", "far Streaming"]);
+    }
+
+    /// Kills the daemon while a ball flies and starts it again; answers when it was killed and streams again, Unix time.
+    fn kill_in_mid_pitch(&mut self, thrown: &[Thrown]) -> (f64, f64) {
+        let now_s = unix_s();
+        let (next_s, _) = self.thrown(thrown, (now_s + 0.5, now_s + 20.0))[0];
+        std::thread::sleep(Duration::from_secs_f64(next_s - 0.2 - now_s));
+        signal(&self.daemon, "-KILL");
+        self.daemon.0.wait().unwrap();
+        let killed_s = unix_s();
+        self.log = self.folder.join("log2");
+        self.daemon = daemon(&self.lab, &self.folder, (&self.folder.join("out2"), &self.log));
+        self.wait(0, &["going on with the last calibration"]);
+        self.wait(0, &["first Streaming", "third Streaming", "far Streaming"]);
+        (killed_s, unix_s())
     }
 }
 
 /// The number before `word` in the last line about a camera.
 fn number(log: &str, camera: &str, word: &str) -> u64 {
-    let line = log
-        .lines()
-        .rev()
-        .find(|l| l.starts_with(&format!("pitchd: {camera}")))
-        .unwrap();
+    let start = format!("pitchd: {camera}");
+    let line = log.lines().rev().find(|l| l.starts_with(&start)).unwrap();
     let before = line.split(word).next().unwrap();
     before.split_whitespace().next_back().unwrap().parse().unwrap()
 }
 
 #[test]
-fn the_daemon_goes_on_through_every_fault() {
+fn pitches_go_on_through_every_fault() {
     let lab = match Lab::new('d', CAMERAS.len()) {
         Ok(lab) => lab,
         Err(why) => return println!("skipped: no network namespaces here: {why}"),
     };
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    let mut first = emulator(&lab, folder, 0, "");
-    let mut third = emulator(&lab, folder, 1, "clock_offset_s=1000");
-    let mut drill = Drill::start(lab, folder);
-    let at = drill.wait(
-        0,
-        &[
-            "first Streaming",
-            "third Streaming",
-            "not recorded; pitches go on",
-        ],
-    );
-
-    // kill -9, and back with a clock that began anew.
-    third.0.kill().unwrap();
-    third.0.wait().unwrap();
-    let at = drill.wait(at, &["lost: it does not answer"]);
-    third = emulator(&drill.lab, folder, 1, "");
-    let at = drill.wait(at, &["third Streaming"]);
-
-    // The cable is cut.
-    drill.lab.on_host("link set cam1 down");
-    let at = drill.wait(at, &["lost: it does not answer"]);
-    drill.lab.on_host("link set cam1 up");
-    let at = drill.wait(at, &["third Streaming"]);
-
-    // A lossy and reordering network loses few frames and no camera; a freeze is not a loss.
-    say(&mut first, "faults loss=0.01,reorder=0.05,reorder_ms=5");
-    std::thread::sleep(Duration::from_secs(2));
-    say(&mut first, "faults loss=0,reorder=0,reorder_ms=0");
-    say(&mut third, "freeze 3");
-    let at = drill.wait(at, &["third Degraded"]);
-    let at = drill.wait(at, &["third Streaming"]);
-
-    // A broken configuration changes nothing; nor does one that gives two cameras one device.
-    let path = folder.join("pitchd.toml");
-    let good = std::fs::read_to_string(&path).unwrap();
-    for broken in [
-        format!("{good}\nserail = 1\n"),
-        good.replace(&Lab::address(1), &Lab::address(0)),
-    ] {
-        std::fs::write(&path, broken).unwrap();
-        let from = drill.now();
-        drill.signal("-HUP");
-        drill.wait(from, &["reload refused, nothing has changed"]);
-    }
-    drill.wait(at, &["first Streaming", "third Streaming"]);
-
-    drill.signal("-TERM");
+    let thrown = session(folder);
+    let _disk = SmallDisk::new(folder);
+    configure(folder);
+    let start_s = unix_s() + 2.0;
+    let mut first = emulator(&lab, (folder, start_s), 0, "");
+    let mut third = emulator(&lab, (folder, start_s), 1, "clock_offset_s=1000,skew_ppm=30");
+    let _far = emulator(&lab, (folder, start_s), 2, "skew_ppm=-20");
+    // Standard output is a pipe whose reader will stand still.
+    let (out, log) = (folder.join("out"), folder.join("log"));
+    assert!(Command::new("mkfifo").arg(&out).status().unwrap().success());
+    let reader = Command::new("cat").arg(&out).stdout(Stdio::null()).spawn();
+    let reader = Reaped(reader.unwrap());
+    let daemon = daemon(&lab, folder, (&out, &log));
+    let mut drill = Drill {
+        lab,
+        folder: folder.to_owned(),
+        start_s,
+        log,
+        daemon,
+    };
+    drill.wait(0, &["first Streaming", "third Streaming", "far Streaming"]);
+    let streaming_s = unix_s();
+    drill.wait(0, &["a calibration is in use"]);
+    signal(&reader, "-STOP");
+    drill.faults(&mut first, &mut third);
+    let before = drill.text();
+    let (killed_s, again_s) = drill.kill_in_mid_pitch(&thrown);
+    println!("streaming again {:.1} s after kill -9", again_s - killed_s);
+    std::thread::sleep(Duration::from_secs_f64(3.0 + 1.2 * EVERY_S));
+    let ended_s = unix_s();
+    signal(&drill.daemon, "-TERM");
     let status = drill.daemon.0.wait().unwrap();
-    let log = drill.log();
+    let log = drill.text();
     assert!(status.success(), "{log}");
-    println!(
-        "{}",
-        log.lines()
-            .filter(|l| l.starts_with("pitchd: "))
-            .collect::<Vec<_>>()
-            .join("\n")
-    );
-    // The healthy camera was never lost, and every missing frame has a number.
-    assert!(
-        log.contains("pitchd: first") && number(&log, "first", " times") == 0,
-        "{log}"
-    );
-    assert_eq!(number(&log, "third", " times"), 2, "{log}");
+    signal(&reader, "-CONT");
+
+    assert!(before.contains("not recorded; pitches go on"), "{before}");
+    let states = log.lines().filter(|l| l.starts_with("pitchd: "));
+    println!("{}", states.collect::<Vec<_>>().join("\n"));
+    assert!(again_s - killed_s < 5.0, "{} s", again_s - killed_s);
+    let silences: Vec<&str> = before.split("silent_ms").skip(1).collect();
+    assert_eq!(silences.len(), 2, "two losses:\n{before}");
     let (frames, processed) = (
         number(&log, "first", " frames"),
         number(&log, "first", " processed"),
     );
-    let dropped = number(&log, "first", " dropped");
-    assert_eq!(frames, processed + dropped, "{log}");
-    assert!(
-        processed > 100 && number(&log, "first", " missing") < frames / 10,
-        "{log}"
-    );
-    // A loss is noticed after 0.6 s of silence and a question; a starved test machine may take twice as long.
-    let silent: Vec<u64> = log
-        .split("silent_ms")
-        .skip(1)
-        .map(|rest| {
-            let digits = rest
-                .trim_start_matches(|c: char| c != '=')
-                .trim_start_matches('=');
-            let digits: String = digits
-                .chars()
-                .skip_while(|c| !c.is_ascii_digit())
-                .take_while(char::is_ascii_digit)
-                .collect();
-            digits.parse().unwrap()
-        })
-        .collect();
-    println!("silent before they were called lost: {silent:?} ms");
-    assert!(
-        silent.len() == 2 && silent.iter().all(|ms| *ms < 2000),
-        "{silent:?}"
-    );
+    assert_eq!(frames, processed + number(&log, "first", " dropped"), "{log}");
+
+    let pitches = read_pitches(&folder.join("results/pitches.jsonl")).unwrap();
+    let to_unix_s = unix_s() - 1e-9 * SystemClock.monotonic().nanos() as f64;
+    // A pitch that flies as the daemon is told to end is finished.
+    let all = drill.thrown(&thrown, (streaming_s - 5.0, ended_s + 2.0));
+    let mut seen = vec![0; all.len()];
+    for (k, pitch) in pitches.iter().enumerate() {
+        assert_eq!(pitch.pitch as usize, k + 1, "numbers go on");
+        let at_s = to_unix_s + 1e-9 * pitch.plate_time_ns as f64;
+        let (which, (thrown_s, truth)) = all
+            .iter()
+            .enumerate()
+            .min_by(|a, b| (a.1.0 - at_s).abs().total_cmp(&(b.1.0 - at_s).abs()))
+            .unwrap();
+        let off = [0, 1].map(|k| pitch.plate_front_m[k] - truth.plate_m[k]);
+        let speed_off = pitch.release_speed_mps - truth.speed_mps;
+        println!(
+            "pitch {}: {:.0} ms, {:.0} and {:.0} mm, {:.2} m/s off, {:?}",
+            pitch.pitch,
+            1e3 * (at_s - thrown_s),
+            1e3 * off[0],
+            1e3 * off[1],
+            speed_off,
+            pitch.points
+        );
+        assert!((at_s - thrown_s).abs() < 0.1, "no pitch was thrown then");
+        assert!(
+            off.iter().all(|o| o.abs() < 0.08) && speed_off.abs() < 1.0,
+            "{pitch:?}"
+        );
+        seen[which] += 1;
+    }
+    // A camera's clock is not known in its first two seconds; a pitch at the very end may still be in the making.
+    let healthy = [
+        (streaming_s + 3.0, killed_s - 1.0),
+        (again_s + 3.0, ended_s - 1.0),
+    ];
+    let mut due = 0;
+    for (count, (at_s, _)) in seen.iter().zip(&all) {
+        let wanted = healthy.iter().any(|(from, until)| (*from..*until).contains(at_s));
+        due += usize::from(wanted);
+        assert!(*count <= 1, "a pitch was published twice");
+        assert!(
+            *count == 1 || !wanted,
+            "the pitch at {:.1} s was lost:\n{before}",
+            at_s - streaming_s
+        );
+    }
+    println!("{due} pitches were due, {} are there", pitches.len());
+    assert!(due >= 12, "{due}");
 }

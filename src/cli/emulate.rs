@@ -9,7 +9,8 @@ use std::path::Path;
 use anyhow::{Context, bail};
 
 use crate::emulation::{
-    Drill, Emulator, EmulatorOptions, Faults, Idle, Script, ScriptShape, pattern, repeated, session_script,
+    Drill, Emulator, EmulatorOptions, Faults, Handing, Idle, Script, ScriptShape, pattern, repeated,
+    session_script,
 };
 use crate::scene::CameraId;
 
@@ -59,6 +60,9 @@ pub struct EmulateArgs {
     /// Frames of a session to read into memory beforehand, GiB.
     #[arg(long, default_value_t = 2.0)]
     pub preload_gib: f64,
+    /// Hand packets to the system one by one: for programs that receive through a packet socket (as root, most do).
+    #[arg(long)]
+    pub plain_packets: bool,
     /// Seed of the faults.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,
@@ -89,6 +93,11 @@ pub fn run(args: &EmulateArgs) -> anyhow::Result<()> {
         between: match args.between {
             Between::Still => Idle::Still,
             Between::Silent => Idle::Silent,
+        },
+        handing: if args.plain_packets {
+            Handing::OneByOne
+        } else {
+            Handing::Offloaded
         },
         seed: args.seed,
         ..EmulatorOptions::new(args.address, &serial)
@@ -169,10 +178,16 @@ fn open(args: &EmulateArgs, camera: &CameraId) -> anyhow::Result<(ScriptShape, S
     Ok((shape, pattern(shape)))
 }
 
-/// The instant of a Unix time; now if it has passed.
+/// The instant of a Unix time; in the past too: a camera that is switched on late shows what is on now.
 fn instant_of(unix_s: f64) -> Instant {
     let now_s = SystemTime::now()
         .duration_since(SystemTime::UNIX_EPOCH)
         .map_or(0.0, |d| d.as_secs_f64());
-    Instant::now() + Duration::try_from_secs_f64(unix_s - now_s).unwrap_or_default()
+    let (now, ahead_s) = (Instant::now(), unix_s - now_s);
+    let away = Duration::try_from_secs_f64(ahead_s.abs()).unwrap_or_default();
+    if ahead_s >= 0.0 {
+        now + away
+    } else {
+        now.checked_sub(away).unwrap_or(now)
+    }
 }

@@ -10,17 +10,19 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
 use crate::capture::aravis::granted_socket_buffer;
-use crate::config::{DaemonConfig, RecordMode, load_daemon, load_rig};
+use crate::config::{DaemonConfig, RecordConfig, RecordMode, load_daemon, load_rig};
 use crate::daemon::health::CameraState;
 use crate::daemon::pipeline::{self, Daemon};
 use crate::export::results::read_calibration;
+use crate::scene::{Calibration, WorldFrame};
 
 const AFTER_HELP: &str = "\
 Example:
   pitchd run --config /etc/pitchd/pitchd.toml
 
 Pitches come as JSON lines on standard output and in RESULTS/pitches.jsonl. SIGTERM or Ctrl-C finishes the pitch in
-flight and exits 0; SIGHUP checks the configuration and says what would change with a restart.";
+flight and exits 0; SIGHUP reads the configuration again: [calibrate], the calibration's file, the recorder's times and
+quota change at once, of everything else it says that it needs a restart; a broken file changes nothing.";
 
 /// Arguments of `pitchd run`.
 #[derive(Debug, clap::Args)]
@@ -42,15 +44,16 @@ pub struct RunArgs {
 /// # Errors
 /// A configuration that cannot be used.
 pub fn run(args: &RunArgs) -> anyhow::Result<()> {
-    let config = load_daemon(&args.config)?;
+    let mut config = load_daemon(&args.config)?;
     let rig = load_rig(&config.rig)?;
-    let calibration = config.calibration.as_deref().map(read_calibration).transpose()?;
+    let calibration = first_calibration(&config)?;
     warn_of_small_buffers(&config);
     let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP]).context("signal handlers")?;
     let daemon = pipeline::start(&config, rig, calibration)?;
     notify(&[NotifyState::Ready]);
-    supervise(args, &config, &daemon, &mut signals);
+    supervise(args, &mut config, &daemon, &mut signals);
     notify(&[NotifyState::Stopping]);
+    finish_flight(&daemon);
     let health = daemon.health().to_vec();
     let recorder = daemon.recorder().clone();
     let published = daemon.published().clone();
@@ -88,14 +91,14 @@ fn warn_of_small_buffers(config: &DaemonConfig) {
 }
 
 /// Signals, status lines and the watchdog, until it is time to stop.
-fn supervise(args: &RunArgs, config: &DaemonConfig, daemon: &Daemon, signals: &mut Signals) {
+fn supervise(args: &RunArgs, config: &mut DaemonConfig, daemon: &Daemon, signals: &mut Signals) {
     let begun = Instant::now();
     let mut told = begun;
     let mut watchdog = Watchdog::new(daemon);
     loop {
         for signal in signals.pending() {
             match signal {
-                SIGHUP => check_reload(&args.config, config),
+                SIGHUP => reload(&args.config, config, daemon),
                 _ => return,
             }
         }
@@ -113,6 +116,22 @@ fn supervise(args: &RunArgs, config: &DaemonConfig, daemon: &Daemon, signals: &m
         std::thread::sleep(Duration::from_millis(50));
     }
 }
+
+/// A ball in flight is followed to its end. Longer than a slow pitch flies it can only be something else.
+fn finish_flight(daemon: &Daemon) {
+    let begun = Instant::now();
+    let flies = || {
+        daemon
+            .health()
+            .iter()
+            .any(|h| h.in_flight.load(Ordering::Relaxed))
+    };
+    while flies() && begun.elapsed() < FLIGHT_MOST {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+const FLIGHT_MOST: Duration = Duration::from_millis(1200);
 
 /// Feeds systemd's watchdog only while frames are really processed: of every camera that streams, more than before.
 struct Watchdog {
@@ -160,11 +179,69 @@ impl Watchdog {
     }
 }
 
-/// A broken file changes nothing; a good one is compared with what runs.
-fn check_reload(path: &Path, running: &DaemonConfig) {
-    match load_daemon(path).and_then(|new| load_rig(&new.rig).map(|_| new)) {
-        Err(error) => tracing::error!("reload refused, nothing has changed: {error}"),
-        Ok(new) if new == *running => tracing::info!("reload: nothing has changed"),
-        Ok(_) => tracing::warn!("reload: the file is good, but its changes need a restart"),
+/// A broken file changes nothing; of a good one what can change at once does, and the rest is named.
+fn reload(path: &Path, running: &mut DaemonConfig, daemon: &Daemon) {
+    let new = match load_daemon(path).and_then(|new| load_rig(&new.rig).map(|_| new)) {
+        Ok(new) => new,
+        Err(error) => {
+            tracing::error!("reload refused, nothing has changed: {error}");
+            return;
+        }
+    };
+    let (later, now) = (new.needs_restart(running), new.holds_at_once(running));
+    let calibration = match &new.calibration {
+        Some(file) if new.calibration != running.calibration => match read_calibration(file) {
+            Ok(calibration) => Some(calibration),
+            Err(error) => {
+                tracing::error!("reload refused, nothing has changed: calibration: {error}");
+                return;
+            }
+        },
+        _ => None,
+    };
+    if !now.is_empty() {
+        daemon.reload(&new, calibration);
+        tracing::info!("reload: in use at once: {}", now.join(", "));
+        *running = DaemonConfig {
+            calibration: new.calibration,
+            first_pitches: new.first_pitches,
+            window_pitches: new.window_pitches,
+            recalibrate_every: new.recalibrate_every,
+            record: RecordConfig {
+                quota_bytes: new.record.quota_bytes,
+                before_s: new.record.before_s,
+                after_s: new.record.after_s,
+                ..running.record.clone()
+            },
+            ..running.clone()
+        };
+    }
+    if !later.is_empty() {
+        tracing::warn!("reload: these hold after a restart: {}", later.join(", "));
+    }
+    if now.is_empty() && later.is_empty() {
+        tracing::info!("reload: nothing has changed");
+    }
+}
+
+/// The calibration to begin with: the one that the file names, else the last that an earlier run has published.
+fn first_calibration(config: &DaemonConfig) -> anyhow::Result<Option<Calibration>> {
+    if let Some(file) = &config.calibration {
+        return Ok(Some(read_calibration(file)?));
+    }
+    let last = config.results.join("calibration.json");
+    if !last.exists() {
+        return Ok(None);
+    }
+    match read_calibration(&last) {
+        Ok(calibration) if calibration.world == WorldFrame::HomePlate => {
+            tracing::info!(file = %last.display(), version = calibration.version, "going on with the last calibration");
+            Ok(Some(calibration))
+        }
+        Ok(_) => Ok(None),
+        Err(error) => {
+            tracing::warn!(%error, "the last calibration cannot be read: the first pitches calibrate");
+            Ok(None)
+        }
     }
 }

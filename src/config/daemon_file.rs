@@ -92,6 +92,51 @@ pub struct DaemonConfig {
     pub cameras: Vec<CameraConnection>,
 }
 
+impl DaemonConfig {
+    /// Keys that differ from `running` and hold only after a restart.
+    pub fn needs_restart(&self, running: &Self) -> Vec<&'static str> {
+        let (new, old) = (&self.record, &running.record);
+        [
+            ("rig", self.rig != running.rig),
+            ("results", self.results != running.results),
+            ("in_flight", self.in_flight != running.in_flight),
+            ("[[camera]]", self.cameras != running.cameras),
+            ("record.mode", new.mode != old.mode),
+            ("record.folder", new.folder != old.folder),
+            ("record.memory_mib", new.memory_bytes != old.memory_bytes),
+        ]
+        .into_iter()
+        .filter_map(|(key, differs)| differs.then_some(key))
+        .collect()
+    }
+
+    /// Keys that differ from `running` and hold at once.
+    pub fn holds_at_once(&self, running: &Self) -> Vec<&'static str> {
+        let (new, old) = (&self.record, &running.record);
+        [
+            ("calibration", self.calibration != running.calibration),
+            (
+                "calibrate.first_pitches",
+                self.first_pitches != running.first_pitches,
+            ),
+            (
+                "calibrate.window_pitches",
+                self.window_pitches != running.window_pitches,
+            ),
+            (
+                "calibrate.every_pitches",
+                self.recalibrate_every != running.recalibrate_every,
+            ),
+            ("record.quota_gib", new.quota_bytes != old.quota_bytes),
+            ("record.before_s", new.before_s != old.before_s),
+            ("record.after_s", new.after_s != old.after_s),
+        ]
+        .into_iter()
+        .filter_map(|(key, differs)| differs.then_some(key))
+        .collect()
+    }
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct DaemonFile {
@@ -294,6 +339,26 @@ mod tests {
             (config.first_pitches, config.cameras[0].socket_buffer_bytes),
             (4, 32 << 20)
         );
+    }
+
+    #[test]
+    fn a_reload_knows_what_can_change_at_once() {
+        let path = Path::new("/etc/pitchd/pitchd.toml");
+        let (old, with) = (parse_daemon(path, GOOD).unwrap(), |text: &str| {
+            parse_daemon(path, &format!("{text}{GOOD}")).unwrap()
+        });
+        let new = with("calibration = \"c.json\"\nresults = \"r\"\nin_flight = false\n");
+        assert_eq!(new.holds_at_once(&old), ["calibration"]);
+        assert_eq!(new.needs_restart(&old), ["results", "in_flight"]);
+        let text =
+            format!("{GOOD}[record]\nafter_s = 1.0\nmemory_mib = 64\n[calibrate]\nevery_pitches = 3\n");
+        let new = parse_daemon(path, &text).unwrap();
+        assert_eq!(
+            new.holds_at_once(&old),
+            ["calibrate.every_pitches", "record.after_s"]
+        );
+        assert_eq!(new.needs_restart(&old), ["record.memory_mib"]);
+        assert!(old.needs_restart(&old).is_empty() && old.holds_at_once(&old).is_empty());
     }
 
     #[test]

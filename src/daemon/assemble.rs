@@ -27,6 +27,14 @@ pub struct CalibrationPlan {
     pub every_pitches: usize,
 }
 
+/// What may change while it runs.
+pub struct NewPlan {
+    /// When to calibrate.
+    pub plan: CalibrationPlan,
+    /// Another calibration to go on with, from a file.
+    pub calibration: Option<Calibration>,
+}
+
 /// A pitch as it is published.
 #[derive(Debug, Clone)]
 pub struct Published {
@@ -109,7 +117,12 @@ struct Desk {
 
 impl Assembler {
     /// Runs until all cameras' tracks have ended; a pitch in the making is finished first.
-    pub fn run(mut self, tracks: &Receiver<SeenTrack>, answers: &Receiver<CalibrationAnswer>) {
+    pub fn run(
+        mut self,
+        tracks: &Receiver<SeenTrack>,
+        answers: &Receiver<CalibrationAnswer>,
+        plans: &Receiver<NewPlan>,
+    ) {
         let mut desk = Desk {
             version: self.calibration.as_ref().map_or(0, |c| c.0.version),
             numbers: self.numbers_before,
@@ -129,6 +142,12 @@ impl Assembler {
             }
             while let Ok(answer) = answers.try_recv() {
                 self.adopt(answer, &mut desk);
+            }
+            for new in plans.try_iter() {
+                self.plan = new.plan;
+                if let Some(calibration) = new.calibration {
+                    self.replace(calibration, &mut desk);
+                }
             }
             self.close_ripe(&mut desk, Some(&alive));
         }
@@ -328,6 +347,20 @@ impl Assembler {
             version: desk.version + 1,
         };
         desk.waiting = self.requests.try_send(request).is_ok();
+    }
+
+    /// Goes on with a calibration that a person has given.
+    fn replace(&mut self, mut calibration: Calibration, desk: &mut Desk) {
+        desk.version += 1;
+        calibration.version = desk.version;
+        tracing::info!(version = desk.version, "the calibration of the file is in use");
+        let epochs = Self::current_epochs(desk);
+        let (calibration, mut of_file) = from_file(calibration);
+        for (camera, epoch) in &mut of_file {
+            *epoch = epochs.get(camera).copied().unwrap_or(*epoch);
+        }
+        self.calibration = Some((calibration, of_file));
+        self.tell_calibration();
     }
 
     fn tell_calibration(&self) {

@@ -40,6 +40,8 @@ pub struct ClipDisk {
     pub calibration: PathBuf,
     /// What has been done.
     pub health: Arc<RecorderHealth>,
+    /// Newer settings: the quota changes with them.
+    pub configs: Receiver<RecordConfig>,
 }
 
 /// A session being written.
@@ -83,10 +85,13 @@ impl Open {
 
 impl ClipDisk {
     /// Runs until the recorder ends.
-    pub fn run(self, jobs: &Receiver<DiskJob>) {
+    pub fn run(mut self, jobs: &Receiver<DiskJob>) {
         let mut continuous: Option<Open> = None;
         let mut resting = None::<Instant>;
         for job in jobs {
+            if let Some(new) = self.configs.try_iter().last() {
+                self.config.quota_bytes = new.quota_bytes;
+            }
             match job {
                 DiskJob::Clip(frames) => self.clip(frames),
                 DiskJob::Frame(held) => {

@@ -1,7 +1,7 @@
 //! What every camera's threads tell about themselves: state and counters, written by one thread, read by anyone.
 
 use super::histogram::Histogram;
-use std::sync::atomic::{AtomicI64, AtomicU8, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU8, AtomicU64, Ordering};
 
 use crate::scene::CameraId;
 
@@ -59,6 +59,8 @@ pub struct CameraHealth {
     pub refused: AtomicU64,
     /// Balls that got no second look, because too many came at once.
     pub balls_lost: AtomicU64,
+    /// Whether what may be a ball is being followed.
+    pub in_flight: AtomicBool,
     /// Tracks of pitched balls.
     pub tracks: AtomicU64,
     /// Times the camera was lost.
@@ -67,7 +69,7 @@ pub struct CameraHealth {
     pub watched_until_ns: AtomicI64,
     /// Of every frame: from arrival of its first packet to the end of detection.
     pub latency: Histogram,
-    /// Of every second look: what it took.
+    /// Of every ball: from arrival of the frame with which its path ended to its fitted track.
     pub second_look: Histogram,
 }
 
@@ -85,6 +87,7 @@ impl CameraHealth {
             processed: AtomicU64::new(0),
             refused: AtomicU64::new(0),
             balls_lost: AtomicU64::new(0),
+            in_flight: AtomicBool::new(false),
             tracks: AtomicU64::new(0),
             losses: AtomicU64::new(0),
             watched_until_ns: AtomicI64::new(i64::MIN),
@@ -105,7 +108,7 @@ impl CameraHealth {
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
         format!(
             "{} {:?}: {} frames, {} processed, {} missing ({} incomplete, {} without buffer), {} dropped before detection, \
-             {} refused, {} tracks, {} balls not looked at, lost {} times, arrival to detected {}, second look {}",
+             {} refused, {} tracks, {} balls not looked at, lost {} times, arrival to detected {}, path's end to fitted {}",
             self.camera,
             self.state(),
             get(&self.frames),

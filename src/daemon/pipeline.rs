@@ -28,6 +28,7 @@
 //! | `cap-<id>` | | frames, the same memory | (9) 64 frames | the frame is not recorded, counted |
 //! | `record` | (9), (11) | clips | (10) 4 clips, or 64 frames of a continuous recording | the clip or frame is lost, counted |
 //! | `disk` | (10) | session folders | – | blocks alone |
+//! | main | SIGHUP | new settings, to `assemble`, `record` and `disk` | 4 each | logged as an error |
 //! | `print` | lines | standard output | – | blocks alone |
 //!
 //! No thread that handles frames ever waits for one that fits or solves. Stopping is closing: capture threads stop, each
@@ -40,7 +41,7 @@ use std::thread::JoinHandle;
 
 use crossbeam_channel::{Sender, bounded};
 
-use super::assemble::{self, Assembler, CalibrationPlan};
+use super::assemble::{self, Assembler, CalibrationPlan, NewPlan};
 use super::clip_disk::ClipDisk;
 use super::foresee::{Foresee, InFlight};
 use super::health::CameraHealth;
@@ -50,7 +51,7 @@ use super::recorder::{ClipTrigger, RecordedLive, Recorder, RecorderHealth};
 use super::supervise::Supervisor;
 use super::watcher::{self, EyeChannels, LOOK_QUEUE};
 use crate::capture::aravis::{CameraAddress, LiveOptions, PacketPath, Ptp, make_this_thread_realtime};
-use crate::config::{CameraConnection, DaemonConfig, RecordMode};
+use crate::config::{CameraConnection, DaemonConfig, RecordConfig, RecordMode};
 use crate::eye::EyeConfig;
 use crate::scene::{Calibration, Rig};
 
@@ -83,6 +84,8 @@ pub struct Daemon {
     health: Vec<Arc<CameraHealth>>,
     recorder: Arc<RecorderHealth>,
     published: Arc<PublishHealth>,
+    plans: Sender<NewPlan>,
+    record_configs: Vec<Sender<RecordConfig>>,
     threads: Vec<JoinHandle<()>>,
 }
 
@@ -106,11 +109,13 @@ pub fn start(
     let (estimates_in, estimates) = bounded::<String>(8);
     let (news_in, news) = bounded::<InFlight>(64);
     let (in_use_in, in_use) = bounded(4);
+    let (plans_in, plans) = bounded(4);
     let published = Arc::new(PublishHealth::default());
 
     let rig = with_stamps_roughly_alike(rig);
     let recorder = Arc::new(RecorderHealth::default());
-    let record = start_recorder(config, &recorder, &mut threads)?;
+    let mut record_configs = Vec::new();
+    let record = start_recorder(config, &recorder, (&mut threads, &mut record_configs))?;
     let mut health = Vec::new();
     let (mut captures, mut trackers) = (Vec::new(), BTreeMap::new());
     for connection in &config.cameras {
@@ -168,11 +173,7 @@ pub fn start(
         rig: rig.clone(),
         numbers_before: publish::last_number(&config.results),
         calibration: calibration.map(assemble::from_file),
-        plan: CalibrationPlan {
-            first_pitches: config.first_pitches,
-            window_pitches: config.window_pitches,
-            every_pitches: config.recalibrate_every,
-        },
+        plan: plan_of(config),
         health: health.clone(),
         requests: requests_in,
         clips: record.map(|(_, clips)| clips),
@@ -181,7 +182,7 @@ pub fn start(
         foresee: in_use_in,
     };
     threads.push(urgent(("assemble".into(), solving), move || {
-        assembler.run(&tracks, &answers)
+        assembler.run(&tracks, &answers, &plans)
     })?);
     threads.push(named("calibrate".into(), move || {
         assemble::calibrate(&rig, &requests, &answers_in);
@@ -200,6 +201,8 @@ pub fn start(
         health,
         recorder,
         published,
+        plans: plans_in,
+        record_configs,
         threads,
     })
 }
@@ -220,6 +223,19 @@ impl Daemon {
         &self.published
     }
 
+    /// Takes what can change while it runs; the rest needs a restart.
+    pub fn reload(&self, config: &DaemonConfig, calibration: Option<Calibration>) {
+        let new = NewPlan {
+            plan: plan_of(config),
+            calibration,
+        };
+        let taken = self.plans.try_send(new).is_ok();
+        let record = |to: &Sender<RecordConfig>| to.try_send(config.record.clone()).is_ok();
+        if !(taken && self.record_configs.iter().all(record)) {
+            tracing::error!("reload: not everything was taken, a thread is busy; try again");
+        }
+    }
+
     /// Asks every camera to stop; what they have sent is finished.
     pub fn request_stop(&self) {
         self.stop.store(true, Ordering::Relaxed);
@@ -237,13 +253,21 @@ impl Daemon {
     }
 }
 
+fn plan_of(config: &DaemonConfig) -> CalibrationPlan {
+    CalibrationPlan {
+        first_pitches: config.first_pitches,
+        window_pitches: config.window_pitches,
+        every_pitches: config.recalibrate_every,
+    }
+}
+
 type ToRecorder = (Sender<RecordedLive>, Sender<ClipTrigger>);
 
 /// The recorder's two threads, if anything is to be recorded.
 fn start_recorder(
     config: &DaemonConfig,
     health: &Arc<RecorderHealth>,
-    threads: &mut Vec<JoinHandle<()>>,
+    (threads, configs): (&mut Vec<JoinHandle<()>>, &mut Vec<Sender<RecordConfig>>),
 ) -> Result<Option<ToRecorder>, DaemonError> {
     if config.record.mode == RecordMode::Off {
         return Ok(None);
@@ -256,13 +280,19 @@ fn start_recorder(
     });
     let cameras = config.cameras.iter().map(|c| c.id.clone()).collect();
     let recorder = Recorder::new(config.record.clone(), cameras, jobs_in, health.clone());
+    let (recorder_configs_in, recorder_configs) = bounded(4);
+    let (disk_configs_in, disk_configs) = bounded(4);
+    configs.extend([recorder_configs_in, disk_configs_in]);
     let disk = ClipDisk {
+        configs: disk_configs,
         config: config.record.clone(),
         rig_toml: std::fs::read_to_string(&config.rig).unwrap_or_default(),
         calibration: config.results.join("calibration.json"),
         health: health.clone(),
     };
-    threads.push(named("record".into(), move || recorder.run(&frames, &clips))?);
+    threads.push(named("record".into(), move || {
+        recorder.run(&frames, &clips, &recorder_configs);
+    })?);
     threads.push(named("disk".into(), move || disk.run(&jobs))?);
     Ok(Some((frames_in, clips_in)))
 }

@@ -136,14 +136,26 @@ impl Recorder {
         }
     }
 
-    /// Runs until the frames end; clips not yet complete are written with what there is.
-    pub fn run(mut self, frames: &Receiver<RecordedLive>, triggers: &Receiver<ClipTrigger>) {
+    /// Runs until the frames end; clips not yet complete are written with what there is. `configs` are newer settings:
+    /// what is remembered and cut out changes with them, the mode does not.
+    pub fn run(
+        mut self,
+        frames: &Receiver<RecordedLive>,
+        triggers: &Receiver<ClipTrigger>,
+        configs: &Receiver<RecordConfig>,
+    ) {
         let tick = Duration::from_millis(50);
         loop {
             match frames.recv_timeout(tick) {
                 Ok(live) => self.take(live),
                 Err(crossbeam_channel::RecvTimeoutError::Timeout) => {}
                 Err(crossbeam_channel::RecvTimeoutError::Disconnected) => break,
+            }
+            for new in configs.try_iter() {
+                let RecordConfig {
+                    before_s, after_s, ..
+                } = new;
+                (self.config.before_s, self.config.after_s) = (before_s, after_s);
             }
             self.waiting
                 .extend(triggers.try_iter().map(|t| (t, Instant::now())));

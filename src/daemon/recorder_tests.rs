@@ -62,13 +62,14 @@ fn record(config: RecordConfig, count: i64) -> Arc<RecorderHealth> {
     drop((frames_in, triggers_in));
     let most = std::thread::scope(|scope| {
         let disk_thread = ClipDisk {
+            configs: crossbeam_channel::never(),
             config,
             rig_toml: String::new(),
             calibration: "none".into(),
             health: health.clone(),
         };
         scope.spawn(move || disk_thread.run(&disk));
-        recorder.run(&frames, &triggers);
+        recorder.run(&frames, &triggers, &crossbeam_channel::never());
         health.held_bytes.load(Ordering::Relaxed)
     });
     assert!(most <= 200 * BYTES, "{most}");
@@ -105,6 +106,7 @@ fn a_clip_has_every_frame_from_before_release_to_after_the_plate() {
     });
     drop(recorder);
     let disk_thread = ClipDisk {
+        configs: crossbeam_channel::never(),
         config,
         rig_toml: String::new(),
         calibration: "none".into(),
@@ -178,6 +180,7 @@ fn the_quota_removes_the_oldest_and_no_stranger() {
         disk_in.send(DiskJob::Clip(vec![Arc::new(held)])).unwrap();
         drop(disk_in);
         let disk_thread = ClipDisk {
+            configs: crossbeam_channel::never(),
             config: small.clone(),
             rig_toml: String::new(),
             calibration: "none".into(),

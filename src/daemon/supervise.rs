@@ -76,6 +76,11 @@ impl Supervisor {
                         tracing::warn!("{text}");
                         said = text;
                     }
+                    // A program that died (an earlier run of this one) holds a camera until its heartbeat lapses, and
+                    // asking who holds it is eight bytes.
+                    if matches!(error, LiveError::Held { .. }) {
+                        backoff = BACKOFF_FIRST;
+                    }
                     self.sleep(backoff);
                     backoff = (backoff * 3 / 2).min(BACKOFF_MOST);
                 }

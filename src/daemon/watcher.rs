@@ -42,6 +42,7 @@ pub fn watch(
         last_arrival: ArrivalTime::from_nanos(0),
         recent: VecDeque::with_capacity(RECENT),
         clock: None,
+        stamp_sigma_s: f64::INFINITY,
         in_flight: false,
     };
     for live in frames {
@@ -59,9 +60,14 @@ struct Watcher<'a> {
     /// The latest frames: number, stamp, device time by the clock model.
     recent: VecDeque<(u64, StampedMidpoint, Option<i64>)>,
     clock: Option<ClockLine>,
+    /// 1σ of the newest stamp, seconds.
+    stamp_sigma_s: f64,
     /// Whether balls in flight were told of with the last frame.
     in_flight: bool,
 }
+
+/// A ball flies 15 mm in this time. In its first two seconds a clock may be off by more: every frame may have been late.
+const STAMP_SIGMA_MAX_S: f64 = 0.4e-3;
 
 /// Frames that a track may reach back.
 const RECENT: usize = 1024;
@@ -85,6 +91,7 @@ impl Watcher<'_> {
         self.recent
             .push_back((frame.stamp.frame, frame.stamp.stamped, device_ns));
         self.clock = live.clock.or(self.clock);
+        self.stamp_sigma_s = live.stamp_sigma_s;
         self.last_arrival = frame.stamp.arrival.unwrap_or(self.last_arrival);
         let (eye, _) = self.watching.get_or_insert_with(|| {
             let camera = self.health.camera.clone();
@@ -121,10 +128,19 @@ impl Watcher<'_> {
 
     /// The balls in flight, and once that there are none any more.
     fn tell_of_flights(&mut self) {
-        let (Some(in_flight), Some((eye, clock_epoch))) = (&self.channels.in_flight, &self.watching) else {
+        let Some((eye, clock_epoch)) = &self.watching else {
             return;
         };
         let paths = eye.open();
+        self.health.in_flight.store(!paths.is_empty(), Ordering::Relaxed);
+        let Some(in_flight) = self
+            .channels
+            .in_flight
+            .as_ref()
+            .filter(|_| self.stamp_sigma_s <= STAMP_SIGMA_MAX_S)
+        else {
+            return;
+        };
         if paths.is_empty() && !self.in_flight {
             return;
         }
@@ -156,9 +172,17 @@ impl Watcher<'_> {
             return;
         };
         let clock_epoch = *clock_epoch;
+        for ending in eye.ending() {
+            // Only a help: it may be missed.
+            let _ = self.channels.look.try_send(ToLook::Early(Box::new(ending)));
+        }
         for ended in eye.drain() {
             if ended.cut_outs.is_none() {
                 tracing::debug!(camera = %self.health.camera, kind = ?ended.ball.kind, "moved");
+                continue;
+            }
+            if self.stamp_sigma_s > STAMP_SIGMA_MAX_S {
+                tracing::info!(camera = %self.health.camera, "a ball is left out: its camera's clock is not known yet");
                 continue;
             }
             let ball = BallToLookAt {

@@ -6,6 +6,7 @@
 use nalgebra::Vector2;
 
 use super::fit::PictureStart;
+use super::lanes::Observation;
 use super::patches::Patch;
 
 /// The ring around what the ball reaches is this wide, pixels.
@@ -20,19 +21,6 @@ const MOVE_RATIO: f64 = 1.6;
 const MOVE_GAIN: f64 = 0.7;
 /// Mismatch of one pixel counts up to this many σ: the ball itself may be in a reference's ring.
 const CLIP_SIGMAS: f64 = 6.0;
-
-/// One pixel to fit.
-#[derive(Clone, Copy)]
-pub struct Observation {
-    /// Place, pixels.
-    pub at: Vector2<f64>,
-    /// Level.
-    pub value: f64,
-    /// Level without the ball.
-    pub background: f64,
-    /// Variance of their difference, levels².
-    pub variance: f64,
-}
 
 /// Where the ball reaches: a streak with a margin.
 struct Reach {

@@ -7,7 +7,7 @@
 //!
 //! D is the disc of radius r blurred by optics and pixel area (a Gaussian edge of width σ). S is the light on the
 //! ball: sky and ground as a polynomial, the sun or the lamps as a lit sphere. Light is fitted, so it cannot pull
-//! the centre; the background is what other frames show.
+//! the centre; the background is what other frames show. `lanes.rs` computes it.
 //!
 //! The blur mixes the light too: a pixel at the rim sees only the part of its surroundings that is on the ball,
 //! and ρ′ is the mean of that part (of a Gaussian cut off at the edge), so that a light with a slope is blurred
@@ -15,6 +15,8 @@
 //! and the centre 0.04 px too low (measured on 824 rendered balls).
 
 use nalgebra::{SMatrix, SVector, Vector2};
+
+use super::dispatch::{Isa, Kernels};
 
 /// Centre x, y and level a: what each frame has of its own.
 pub const OWN: usize = 3;
@@ -31,13 +33,13 @@ pub const TERMS: usize = 8;
 /// All parameters of one frame.
 pub const PARAMETERS: usize = LIGHT + TERMS;
 /// n_z is kept above this: the light's slope has no end at the rim.
-const RIM_DEPTH_MIN: f64 = 0.1;
+pub const RIM_DEPTH_MIN: f64 = 0.1;
 /// Longest step between two instants of the sweep, pixels.
 const SWEEP_STEP_PX: f64 = 0.45;
 /// Steps of the edge table per pixel.
-const EDGE_STEPS_PER_PX: f64 = 64.0;
+pub const EDGE_STEPS_PER_PX: f64 = 64.0;
 /// The edge table ends this many σ from the edge.
-const EDGE_REACH_SIGMAS: f64 = 4.0;
+pub const EDGE_REACH_SIGMAS: f64 = 4.0;
 
 /// A vector of all parameters.
 pub type Parameters = SVector<f64, PARAMETERS>;
@@ -49,21 +51,13 @@ pub type Information = SMatrix<f64, PARAMETERS, PARAMETERS>;
 pub struct Edge {
     /// σ of the blur, pixels.
     pub sigma_px: f64,
-    reach_px: f64,
-    table: Vec<Rim>,
-}
-
-/// What one place near the blurred edge sees of the ball.
-#[derive(Debug, Clone, Copy)]
-struct Rim {
-    /// Share of the blur that is on the ball, D.
-    coverage: f64,
-    /// ∂coverage/∂inside, per pixel.
-    slope: f64,
-    /// How much further inside the mean of that share is, pixels.
-    shift_px: f64,
-    /// ∂(distance of that mean from the centre)/∂(distance), 0 to 1.
-    follow: f64,
+    /// Distance from the edge beyond which there is nothing, or all, of the ball, pixels.
+    pub reach_px: f64,
+    /// Per place, [`EDGE_STEPS_PER_PX`] to a pixel from `reach_px` outside on: coverage, slope, shift and follow, and
+    /// how much each changes to the next place. The last is well inside.
+    pub pairs: Vec<[f64; 8]>,
+    /// Of the machine, for the loops over pixels.
+    pub kernels: Kernels,
 }
 
 impl Edge {
@@ -71,52 +65,35 @@ impl Edge {
     pub fn new(sigma_px: f64) -> Self {
         let reach_px = EDGE_REACH_SIGMAS * sigma_px;
         let count = (2.0 * reach_px * EDGE_STEPS_PER_PX).ceil() as usize + 2;
-        let table = (0..count)
+        let rims: Vec<[f64; 4]> = (0..count)
             .map(|i| {
                 let inside = i as f64 / EDGE_STEPS_PER_PX - reach_px;
                 let z = inside / sigma_px;
                 let density = (-0.5 * z * z).exp() / (2.0 * std::f64::consts::PI).sqrt();
                 let coverage = normal_cdf(z);
                 let cut = density / coverage;
-                Rim {
+                [
                     coverage,
-                    slope: density / sigma_px,
-                    shift_px: sigma_px * cut,
-                    follow: 1.0 - cut * (z + cut),
-                }
+                    density / sigma_px,
+                    sigma_px * cut,
+                    1.0 - cut * (z + cut),
+                ]
             })
             .collect();
+        let mut pairs: Vec<[f64; 8]> = rims
+            .windows(2)
+            .filter_map(|pair| {
+                let ([a, b, c, d], [e, f, g, h]) = (*pair.first()?, *pair.last()?);
+                Some([a, b, c, d, e - a, f - b, g - c, h - d])
+            })
+            .collect();
+        pairs.push([1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
         Self {
             sigma_px,
             reach_px,
-            table,
+            pairs,
+            kernels: Kernels::new(Isa::widest()),
         }
-    }
-
-    /// What a place this far inside the edge sees; `None` where the ball does not reach.
-    #[inline]
-    fn at(&self, inside_px: f64) -> Option<Rim> {
-        if inside_px <= -self.reach_px {
-            return None;
-        }
-        let place = (inside_px + self.reach_px) * EDGE_STEPS_PER_PX;
-        let index = place as usize;
-        let (Some(a), Some(b)) = (self.table.get(index), self.table.get(index + 1)) else {
-            return Some(Rim {
-                coverage: 1.0,
-                slope: 0.0,
-                shift_px: 0.0,
-                follow: 1.0,
-            });
-        };
-        let f = place - index as f64;
-        let mix = |a: f64, b: f64| a * (1.0 - f) + b * f;
-        Some(Rim {
-            coverage: mix(a.coverage, b.coverage),
-            slope: mix(a.slope, b.slope),
-            shift_px: mix(a.shift_px, b.shift_px),
-            follow: mix(a.follow, b.follow),
-        })
     }
 }
 
@@ -134,8 +111,10 @@ fn normal_cdf(z: f64) -> f64 {
 /// Instants of the sweep: streak vector at scale 1 and how many.
 #[derive(Debug, Clone, Copy)]
 pub struct Sweep {
-    streak_px: Vector2<f64>,
-    instants: usize,
+    /// From start to end of the exposure at scale 1, pixels.
+    pub streak_px: Vector2<f64>,
+    /// Instants.
+    pub instants: usize,
 }
 
 impl Sweep {
@@ -149,128 +128,9 @@ impl Sweep {
     }
 }
 
-/// Value and derivative by every parameter at one pixel.
-#[derive(Debug, Clone, Copy)]
-pub struct PixelModel {
-    /// Level.
-    pub value: f64,
-    /// ∂value/∂parameters.
-    pub gradient: Parameters,
-}
-
-/// The model at pixel `x_px`, or `None` where the ball does not reach.
-pub fn model(
-    x_px: Vector2<f64>,
-    background: f64,
-    parameters: &Parameters,
-    sweep: &Sweep,
-    edge: &Edge,
-) -> Option<PixelModel> {
-    let radius = parameters[RADIUS];
-    let level = parameters[LEVEL];
-    let light: [f64; TERMS] = std::array::from_fn(|i| parameters[LIGHT + i]);
-    // A Gaussian edge at r covers π(r² + σ²): at √(r² − σ²) the area is the disc's.
-    let edge_radius = (radius * radius - edge.sigma_px * edge.sigma_px)
-        .max(0.04 * radius * radius)
-        .sqrt();
-    let edge_by_radius = radius / edge_radius;
-    let centre = Vector2::new(parameters[0], parameters[1]);
-    let share = 1.0 / sweep.instants as f64;
-    let softness = edge.sigma_px / radius;
-    let (mut excess, mut coverage, mut gradient) = (0.0, 0.0, Parameters::zeros());
-    for step in 0..sweep.instants {
-        let t = (step as f64 + 0.5) * share - 0.5;
-        let moved = sweep.streak_px * t;
-        let rho = x_px - centre - moved * parameters[STREAK_SCALE];
-        let distance = rho.norm();
-        let Some(rim) = edge.at(edge_radius - distance) else {
-            continue;
-        };
-        let (nx, ny, tangential) = if distance > 1e-9 {
-            let seen = (distance - rim.shift_px).max(0.0);
-            (rho.x / distance, rho.y / distance, seen / distance)
-        } else {
-            (0.0, 0.0, 1.0)
-        };
-        let (u, v) = (rho.x * tangential / radius, rho.y * tangential / radius);
-        let shine = Shine::at(u, v, &light, softness);
-        let s = level * shine.value;
-        let (s_u, s_v) = (level * shine.by_u / radius, level * shine.by_v / radius);
-        let d = rim.coverage;
-        let lift = s - background;
-        excess += d * lift;
-        coverage += d;
-        // The place seen follows the pixel fully along the rim, partly across it.
-        let outward = s_u * nx + s_v * ny;
-        let across = outward * (rim.follow - tangential);
-        let by_x = -d * (s_u * tangential + across * nx) + lift * rim.slope * nx;
-        let by_y = -d * (s_v * tangential + across * ny) + lift * rim.slope * ny;
-        gradient[0] += by_x;
-        gradient[1] += by_y;
-        gradient[LEVEL] += d * shine.value;
-        gradient[RADIUS] += lift * rim.slope * edge_by_radius
-            + d * (outward * (1.0 - rim.follow) * edge_by_radius
-                - (s_u * u + s_v * v)
-                - level * shine.by_softness * softness / radius);
-        gradient[STREAK_SCALE] += by_x * moved.x + by_y * moved.y;
-        for (i, by_term) in shine.by_term.iter().enumerate() {
-            gradient[LIGHT + i] += d * level * by_term;
-        }
-    }
-    (coverage > 0.0).then(|| PixelModel {
-        value: background + share * excess,
-        gradient: gradient * share,
-    })
-}
-
-/// The light at one point of the ball relative to its level.
-struct Shine {
-    value: f64,
-    by_u: f64,
-    by_v: f64,
-    by_softness: f64,
-    by_term: [f64; TERMS],
-}
-
-impl Shine {
-    /// `softness` is the blur's width in radii: it rounds the line between lit and unlit, max(0, f) becomes the
-    /// mean of max(0, f + ξ) with ξ ~ N(0, softness·|(l_x, l_y)|).
-    #[inline]
-    fn at(u: f64, v: f64, light: &[f64; TERMS], softness: f64) -> Self {
-        let [b, c, d, e, f, lx, ly, lz] = *light;
-        let depth = (1.0 - u * u - v * v).max(RIM_DEPTH_MIN * RIM_DEPTH_MIN).sqrt();
-        let facing = lx * u + ly * v + lz * depth;
-        let slope = lx.hypot(ly).max(1e-9);
-        let width = softness * slope;
-        let z = facing / width.max(1e-9);
-        let (lit, density) = if z.abs() > EDGE_REACH_SIGMAS {
-            (if z > 0.0 { 1.0 } else { 0.0 }, 0.0)
-        } else {
-            let density = (-0.5 * z * z).exp() / (2.0 * std::f64::consts::PI).sqrt();
-            (normal_cdf(z), density)
-        };
-        let by_slope = density * softness / slope;
-        Self {
-            value: 1.0 + b * u + c * v + d * u * u + e * u * v + f * v * v + lit * facing + width * density,
-            by_u: b + 2.0 * d * u + e * v + lit * (lx - lz * u / depth),
-            by_v: c + e * u + 2.0 * f * v + lit * (ly - lz * v / depth),
-            by_softness: density * slope,
-            by_term: [
-                u,
-                v,
-                u * u,
-                u * v,
-                v * v,
-                lit * u + by_slope * lx,
-                lit * v + by_slope * ly,
-                lit * depth,
-            ],
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::lanes::one_pixel;
     use super::*;
     use proptest::prelude::*;
 
@@ -288,17 +148,17 @@ mod tests {
             let x = Vector2::new(10.0 + dx, 20.0 + dy);
             let sweep = Sweep::new(Vector2::new(sx, sy));
             let edge = Edge::new(0.55);
-            let Some(here) = model(x, 60.0, &p, &sweep, &edge) else { return Ok(()) };
+            let Some((_, here)) = one_pixel(x, 60.0, &p, (&sweep, &edge)) else { return Ok(()) };
             for i in 0..PARAMETERS {
                 // Wider than a step of the edge table, at whose knots the slope jumps.
                 let h = 0.02;
                 let (mut up, mut down) = (p, p);
                 up[i] += h;
                 down[i] -= h;
-                let value = |p: &Parameters| model(x, 60.0, p, &sweep, &edge).map_or(60.0, |m| m.value);
+                let value = |p: &Parameters| one_pixel(x, 60.0, p, (&sweep, &edge)).map_or(60.0, |m| m.0);
                 let numeric = (value(&up) - value(&down)) / (2.0 * h);
                 let slack = 0.6 + 0.015 * numeric.abs();
-                prop_assert!((numeric - here.gradient[i]).abs() < slack, "{i}: {numeric} {}", here.gradient[i]);
+                prop_assert!((numeric - here[i]).abs() < slack, "{i}: {numeric} {}", here[i]);
             }
         }
     }
@@ -338,11 +198,11 @@ mod tests {
         let (mut pixels, mut squares, mut pull) = (0.0, 0.0, 0.0);
         for i in 0..121 {
             let x = Vector2::new(f64::from(i % 11) - 5.0, f64::from(i / 11) - 5.2);
-            let modelled = model(x, 60.0, &p, &still, &edge);
-            let off = modelled.map_or(60.0, |m| m.value) - by_hand(x, &p, sigma);
-            pull += off * modelled.map_or(0.0, |m| m.gradient[1]);
+            let modelled = one_pixel(x, 60.0, &p, (&still, &edge));
+            let off = modelled.map_or(60.0, |m| m.0) - by_hand(x, &p, sigma);
+            pull += off * modelled.map_or(0.0, |m| m.1[1]);
             squares += off * off;
-            pixels += modelled.map_or(0.0, |m| m.gradient[1].powi(2));
+            pixels += modelled.map_or(0.0, |m| m.1[1].powi(2));
         }
         let (rms, shift) = (f64::sqrt(squares / 121.0), pull / pixels);
         println!("rms {rms:.2} levels, pull on the centre {shift:.4} px");

@@ -2,6 +2,7 @@
 #![allow(unsafe_code)]
 
 use super::kernel::{self, WindowSums};
+use super::lanes::{Look, PixelLanes, Sums};
 
 /// An instruction set the kernels are compiled for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,6 +24,11 @@ impl Isa {
         } else {
             Self::Portable
         }
+    }
+
+    /// The widest, for what is bound by arithmetic.
+    pub fn widest() -> Self {
+        Self::available().last().copied().unwrap_or(Self::Portable)
     }
 
     /// All this machine runs, narrowest first.
@@ -132,4 +138,8 @@ dispatched!(
 dispatched!(
     /// See [`kernel::change_of_run`].
     change_of_run(images: (&[u8], &[u8], &[u8]), begin: usize, length: usize) -> (u32, u8)
+);
+dispatched!(
+    /// See [`kernel::linearise`].
+    linearise(pixels: &PixelLanes, look: &Look<'_>) -> Sums
 );

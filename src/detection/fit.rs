@@ -6,10 +6,9 @@
 
 use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 
-use super::background::{Observation, observe};
-use super::disc::{
-    Edge, Information, LEVEL, LIGHT, OWN, PARAMETERS, Parameters, RADIUS, STREAK_SCALE, Sweep, TERMS, model,
-};
+use super::background::observe;
+use super::disc::{Edge, LEVEL, LIGHT, OWN, PARAMETERS, Parameters, RADIUS, STREAK_SCALE, Sweep, TERMS};
+use super::lanes::{Look, PixelLanes, Sums};
 use super::patches::Patch;
 
 /// Terms of the light that drift along the track: the lit sphere's. The view turns by tens of degrees while the
@@ -120,8 +119,9 @@ impl Shared {
 }
 
 /// One frame's pixels and its own parameters.
+#[derive(Clone)]
 pub struct Picture {
-    observations: Vec<Observation>,
+    pixels: PixelLanes,
     sweep: Sweep,
     place: f64,
     start_px: Vector2<f64>,
@@ -156,15 +156,6 @@ pub struct FittedCentre {
     pub chi2: f64,
 }
 
-/// Normal equations of one linearisation.
-struct Normal {
-    information: Information,
-    gradient: Parameters,
-    cost: f64,
-    squares: f64,
-    used: f64,
-}
-
 impl Picture {
     /// Selects the pixels and guesses the level; `None` where there is too little to fit.
     pub fn new(patch: &Patch<'_>, start: &PictureStart, edge: &Edge) -> Option<Self> {
@@ -178,7 +169,7 @@ impl Picture {
             .fold((0.0, 0.0), |(sum, n), o| (sum + o.value, n + 1.0));
         let level = near.0 / f64::max(near.1, 1.0);
         Some(Self {
-            observations,
+            pixels: PixelLanes::new(&observations),
             sweep: Sweep::new(start.streak_px),
             place: start.place,
             start_px: start.centre_px,
@@ -190,36 +181,15 @@ impl Picture {
         })
     }
 
-    fn linearise(&self, own: &Vector3<f64>, shared: &Shared, edge: &Edge) -> Normal {
+    fn linearise(&self, own: &Vector3<f64>, shared: &Shared, edge: &Edge) -> Sums {
         let parameters = shared.fill(self.place, own);
-        let mut result = Normal {
-            information: Information::zeros(),
-            gradient: Parameters::zeros(),
-            cost: 0.0,
-            squares: 0.0,
-            used: 0.0,
-        };
-        for o in &self.observations {
-            let Some(m) = model(o.at, o.background, &parameters, &self.sweep, edge) else {
-                result.cost += huber((o.value - o.background).powi(2) / o.variance).0;
-                continue;
-            };
-            let variance = o.variance + self.model_variance;
-            let residual = o.value - m.value;
-            let squared = residual * residual / variance;
-            let (cost, weight) = huber(squared);
-            let scale = weight / variance;
-            result.cost += cost;
-            result.squares += weight * squared;
-            result.used += 1.0;
-            result.gradient += m.gradient * (scale * residual);
-            result.information.ger(scale, &m.gradient, &m.gradient, 1.0);
-        }
-        result
+        let noise = (self.model_variance, HUBER_SIGMAS);
+        let look = Look::new(&parameters, (&self.sweep, edge), noise);
+        edge.kernels.linearise(&self.pixels, &look)
     }
 
     /// Finds centre and level for given shared parameters; gives the final linearisation.
-    fn solve_own(&mut self, shared: &Shared, edge: &Edge, steps_max: usize) -> Option<Normal> {
+    fn solve_own(&mut self, shared: &Shared, edge: &Edge, steps_max: usize) -> Option<Sums> {
         let mut state = self.linearise(&self.own, shared, edge);
         let mut damping = 1e-3;
         for _ in 0..steps_max {
@@ -378,16 +348,6 @@ pub fn fit_centre(
         covariance_px2: total.fixed_view::<2, 2>(0, 0).into_owned(),
         chi2: picture.chi2,
     })
-}
-
-/// Huber cost and weight of a squared normalised residual.
-fn huber(squared: f64) -> (f64, f64) {
-    let size = squared.sqrt();
-    if size <= HUBER_SIGMAS {
-        (0.5 * squared, 1.0)
-    } else {
-        (HUBER_SIGMAS * (size - 0.5 * HUBER_SIGMAS), HUBER_SIGMAS / size)
-    }
 }
 
 #[cfg(test)]

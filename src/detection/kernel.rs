@@ -2,6 +2,8 @@
 //!
 //! All arithmetic is on bytes with saturation, so every instruction set gives the same bits.
 
+pub use super::lanes::linearise;
+
 /// Columns of a tile.
 pub const TILE_WIDTH_PX: usize = 32;
 /// Rows of a tile.

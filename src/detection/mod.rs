@@ -20,6 +20,7 @@ mod error;
 mod fit;
 mod history;
 mod kernel;
+mod lanes;
 mod movers;
 #[cfg(test)]
 pub(crate) mod painter;

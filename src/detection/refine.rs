@@ -22,6 +22,8 @@ const BLUR_TRACKS: usize = 4;
 const TRIAL_FRAMES: usize = 20;
 /// Gauss–Newton steps of a trial and of the fit.
 const STEPS: (usize, usize) = (8, 14);
+/// One of so many frames goes the first part of the way.
+const PART: usize = 3;
 /// Fewest cut-outs of a track.
 const PICTURES_MIN: usize = 6;
 /// Neighbours on each side that give a point's velocity.
@@ -162,6 +164,14 @@ fn refine(
     }
     let mut shared = shared;
     shared.release_light();
+    // Most of the way on a part of the frames: with all of them it is then two steps instead of ten.
+    let mut part: Vec<Picture> = pictures.iter().step_by(PART).cloned().collect();
+    if part.len() >= PICTURES_MIN {
+        let mut nearer = shared;
+        if fit_shared(&mut part, &mut nearer, &edge, STEPS.1).is_some() {
+            shared.values = nearer.values;
+        }
+    }
     let (covariance, _) = fit_shared(&mut pictures, &mut shared, &edge, STEPS.1)?;
     let mut centres: Vec<Option<FittedCentre>> = vec![None; track.points.len()];
     for (index, picture) in indices.iter().zip(&mut pictures) {
@@ -303,11 +313,12 @@ fn choose_edge(
         }
         // Held to the sphere alone the light would be matched by a wrong blur.
         let held = shared;
-        shared.release_light();
-        if let (Some((_, cost)), Some(slot)) = (
-            fit_shared(&mut pictures, &mut shared, &edge, STEPS.0),
-            found.get_mut(index),
-        ) {
+        // What the light then makes of it only compares the blurs.
+        let compared = (!settled).then(|| {
+            shared.release_light();
+            fit_shared(&mut pictures, &mut shared, &edge, STEPS.0).map(|(_, cost)| cost)
+        });
+        if let (Some(cost), Some(slot)) = (compared.unwrap_or(Some(0.0)), found.get_mut(index)) {
             *slot = Some((cost, held));
         }
     }

@@ -35,6 +35,16 @@ pub enum EmulatorError {
     Thread(&'static str, io::Error),
 }
 
+/// How packets are handed to the system.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Handing {
+    /// Many at once, cut apart by the system (UDP GSO): half the processor time.
+    #[default]
+    Offloaded,
+    /// One by one: on a virtual link a receiver's packet socket (AF_PACKET) sees the others before they are cut apart.
+    OneByOne,
+}
+
 /// How to emulate.
 #[derive(Debug, Clone)]
 pub struct EmulatorOptions {
@@ -52,6 +62,10 @@ pub struct EmulatorOptions {
     pub begin: Option<Instant>,
     /// What is shown when the script has nothing.
     pub between: Idle,
+    /// How packets are handed to the system.
+    pub handing: Handing,
+    /// Another GenICam description than the camera's own, to try a receiver with.
+    pub genicam: Option<String>,
     /// Seed of the faults.
     pub seed: u64,
 }
@@ -67,6 +81,8 @@ impl EmulatorOptions {
             link_gbps: 5.0,
             begin: None,
             between: Idle::Still,
+            handing: Handing::Offloaded,
+            genicam: None,
             seed: 1,
         }
     }
@@ -221,6 +237,7 @@ impl Emulator {
             height_px: shape.height_px,
             rate_hz: (1.0, shape.rate_hz),
             exposure_s: shape.exposure_s,
+            genicam: options.genicam.clone(),
             link_mbps: (1000.0 * options.link_gbps).clamp(1.0, 1e6) as u32,
         };
         let now = Instant::now();
@@ -249,7 +266,7 @@ impl Emulator {
             shared.clone(),
             stream_socket,
             timeline,
-            (options.link_gbps, options.seed),
+            (options.link_gbps, options.handing, options.seed),
         )
         .map_err(|e| EmulatorError::Thread("emulate-send", e))?;
         emulator.threads.push(named("emulate-read", move || {
@@ -308,6 +325,11 @@ impl Emulator {
         *lock(&self.shared.clock) = DeviceClock::new(up, 0.0, skew);
         // The sender is gone only when the emulator ends.
         let _ = self.orders.send(Order::Stop);
+    }
+
+    /// The GenICam description that it serves.
+    pub fn genicam(&self) -> String {
+        lock(&self.shared.bank).genicam()
     }
 
     /// The faults that hold now.

@@ -278,6 +278,7 @@ mod tests {
             rate_hz: (1.0, 60.0),
             exposure_s: 0.001,
             link_mbps: 1000,
+            genicam: None,
         });
         let mut defined = BTreeSet::new();
         for part in text.split(" Name=\"").skip(1) {

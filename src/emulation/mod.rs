@@ -21,7 +21,7 @@ mod script;
 mod sender;
 mod session;
 
-pub use camera::{Counters, Emulator, EmulatorError, EmulatorOptions};
+pub use camera::{Counters, Emulator, EmulatorError, EmulatorOptions, Handing};
 pub use faults::{Drill, FaultError, Faults};
 pub use registers::Identity;
 pub use script::{Idle, Pixels, Script, ScriptShape, ScriptedFrame, pattern, repeated};

@@ -28,6 +28,8 @@ pub struct Identity {
     pub exposure_s: f64,
     /// Link speed told, Mb/s.
     pub link_mbps: u32,
+    /// Another GenICam description than the camera's own.
+    pub genicam: Option<String>,
 }
 
 /// Manufacturer told in discovery.
@@ -122,7 +124,11 @@ impl RegisterBank {
     pub fn new(identity: Identity) -> Self {
         let mut bank = Self {
             bootstrap: vec![0; BOOTSTRAP_BYTES],
-            xml: genicam::description(&identity).into_bytes(),
+            xml: identity
+                .genicam
+                .clone()
+                .unwrap_or_else(|| genicam::description(&identity))
+                .into_bytes(),
             features: vec![0; FEATURE_BYTES],
             identity,
         };
@@ -130,6 +136,13 @@ impl RegisterBank {
         bank.fill_bootstrap();
         bank.fill_features();
         bank
+    }
+
+    /// The GenICam description.
+    pub fn genicam(&self) -> String {
+        String::from_utf8_lossy(&self.xml)
+            .trim_end_matches('\0')
+            .to_owned()
     }
 
     fn fill_bootstrap(&mut self) {
@@ -369,6 +382,7 @@ mod tests {
             rate_hz: (1.0, 175.0),
             exposure_s: 0.001,
             link_mbps: 5000,
+            genicam: None,
         }
     }
 

@@ -12,7 +12,7 @@ use quinn_udp::{Transmit, UdpSockRef, UdpSocketState};
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64;
 
-use super::camera::{Shared, lock};
+use super::camera::{Handing, Shared, lock};
 use super::gvsp::{self, ImageLeader, PacketPlan};
 use super::registers::StreamSettings;
 use super::script::{Pixels, Slot, Timeline};
@@ -33,6 +33,8 @@ const KEPT: usize = 8;
 const MESSAGE_BYTES: usize = 65_000;
 /// Packets between two looks at the clock and the orders.
 const PACED_BYTES: usize = 250_000;
+/// Time before a departure that is not slept through.
+const AWAKE: Duration = Duration::from_micros(150);
 /// Behind by more than this, exposures are skipped.
 const BEHIND: Duration = Duration::from_millis(500);
 
@@ -69,6 +71,7 @@ pub(super) struct Sender {
     shared: Arc<Shared>,
     socket: UdpSocket,
     state: UdpSocketState,
+    handing: Handing,
     timeline: Timeline,
     link_bytes_per_s: f64,
     rng: Pcg64,
@@ -88,7 +91,7 @@ impl Sender {
         shared: Arc<Shared>,
         socket: UdpSocket,
         timeline: Timeline,
-        (link_gbps, seed): (f64, u64),
+        (link_gbps, handing, seed): (f64, Handing, u64),
     ) -> io::Result<Self> {
         let state = UdpSocketState::new(UdpSockRef::from(&socket))?;
         let reference = socket2::SockRef::from(&socket);
@@ -98,6 +101,7 @@ impl Sender {
             shared,
             socket,
             state,
+            handing,
             timeline,
             link_bytes_per_s: if link_gbps > 0.0 {
                 link_gbps * 1e9 / 8.0
@@ -166,7 +170,9 @@ impl Sender {
                 .map(|h| h.0)
                 .min()
                 .map_or(departs, |h| h.min(departs));
-            match orders.recv_deadline(next) {
+            // A camera's exposures are timed by hardware. A sleep ends some 60 us late and by a different amount each time,
+            // which the receiver's clock model would see: the last of it is waited out awake.
+            match orders.recv_deadline(next.checked_sub(AWAKE).unwrap_or(next)) {
                 Ok(Order::End) | Err(RecvTimeoutError::Disconnected) => return false,
                 Ok(order) => {
                     self.obey(order, stream);
@@ -174,8 +180,14 @@ impl Sender {
                         return true;
                     }
                 }
-                Err(RecvTimeoutError::Timeout) if Instant::now() >= departs => return !self.shared.stopped(),
-                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Timeout) => {
+                    while Instant::now() < next {
+                        std::hint::spin_loop();
+                    }
+                    if next >= departs {
+                        return !self.shared.stopped();
+                    }
+                }
             }
         }
     }
@@ -254,7 +266,10 @@ impl Sender {
 
     fn send_frame(&mut self, settings: &StreamSettings, frame: &Kept) {
         let packet_bytes = frame.plan.data_bytes + gvsp::HEADER_BYTES;
-        let per_group = (MESSAGE_BYTES / packet_bytes).clamp(1, self.state.max_gso_segments());
+        let per_group = match self.handing {
+            Handing::Offloaded => (MESSAGE_BYTES / packet_bytes).clamp(1, self.state.max_gso_segments()),
+            Handing::OneByOne => 1,
+        };
         let faults = *lock(&self.shared.faults);
         let mut since_pause = 0;
         self.link_free = self.link_free.max(Instant::now());

@@ -5,6 +5,9 @@ use crate::detection::{Answers, CutOuts, DetectionError, Detector, DetectorCount
 use crate::scene::{CameraId, Detection, Frame, FrameStamp};
 use crate::tracking::{OpenPath, TrackKind, TrackedBall, Tracker, TrackerCounters};
 
+/// A ball that was missed in so many frames has most likely ended; the path is given up after some more.
+const ENDING_FRAMES: f64 = 3.0;
+
 /// A ball whose path has ended, with the cut-outs of its points if it may be a pitch.
 pub struct EndedBall {
     /// Its path by the first look.
@@ -96,6 +99,17 @@ impl FirstLook {
     /// The balls that have ended since the last call.
     pub fn drain(&mut self) -> Vec<EndedBall> {
         std::mem::take(&mut self.ended)
+    }
+
+    /// Balls that were last seen a few frames ago, as they will be if their paths end there.
+    pub fn ending(&self) -> Vec<EndedBall> {
+        let balls = self.tracker.ending(ENDING_FRAMES).into_iter();
+        balls
+            .map(|ball| EndedBall {
+                cut_outs: Some(self.detector.cut_outs(&ball.track)),
+                ball,
+            })
+            .collect()
     }
 
     /// The likeliest balls in flight.

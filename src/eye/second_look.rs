@@ -20,7 +20,19 @@ pub struct SecondLook {
     refiner: Refiner,
     tracker_config: TrackerConfig,
     shapes: Vec<TrackShape>,
+    early: Vec<Early>,
 }
+
+/// A second look that was taken before the path had ended.
+struct Early {
+    by_first_look: Track,
+    ball: TrackedBall,
+    step: Option<BallStep>,
+    refiner: Refiner,
+}
+
+/// Early looks kept.
+const EARLY_MAX: usize = 4;
 
 impl SecondLook {
     /// For the balls of one camera.
@@ -29,12 +41,49 @@ impl SecondLook {
             refiner: Refiner::new(&config.detector),
             tracker_config: config.tracker.clone(),
             shapes: Vec::new(),
+            early: Vec::new(),
         }
+    }
+
+    /// Looks at a ball whose path will most likely end as it is: [`Self::look`] then answers at once. Where it does not
+    /// end so, nothing has happened.
+    pub fn look_early(&mut self, ended: EndedBall) {
+        let by_first_look = ended.ball.track.clone();
+        let before = self.refiner.clone();
+        let (ball, step) = self.look_now(ended);
+        let refiner = std::mem::replace(&mut self.refiner, before);
+        if self.early.len() >= EARLY_MAX {
+            self.early.remove(0);
+        }
+        self.early.push(Early {
+            by_first_look,
+            ball,
+            step,
+            refiner,
+        });
     }
 
     /// Refines the centres of what may be a pitch, and trims what then shows not to be free flight. With it what the
     /// first look should know of this camera's balls.
     pub fn look(&mut self, ended: EndedBall) -> (TrackedBall, Option<BallStep>) {
+        let same = |early: &Early| early.by_first_look.points == ended.ball.track.points;
+        if let Some(at) = self.early.iter().position(same) {
+            let Early {
+                mut ball,
+                step,
+                refiner,
+                ..
+            } = self.early.remove(at);
+            self.early.clear();
+            self.refiner = refiner;
+            ball.track.track = ended.ball.track.track;
+            return (ball, step);
+        }
+        self.early.clear();
+        self.look_now(ended)
+    }
+
+    fn look_now(&mut self, ended: EndedBall) -> (TrackedBall, Option<BallStep>) {
         let EndedBall { mut ball, cut_outs } = ended;
         if let Some(cut_outs) = &cut_outs
             && let Some(refinement) = self.refiner.refine(cut_outs, &mut ball.track)

@@ -108,3 +108,44 @@ impl Score {
         score
     }
 }
+
+/// The frames of a lone ball.
+fn frames() -> impl Iterator<Item = crate::scene::Frame> {
+    let stand = Canvas::stand(640, 240, 3, 40.0);
+    (0..100u64).map(move |number| {
+        let mut canvas = stand.clone();
+        if (10..60).contains(&number) {
+            canvas.ball(&ball(number as f64 - 10.0));
+        }
+        canvas.frame(number, 175.0, 2.0)
+    })
+}
+
+#[test]
+fn a_look_before_the_end_is_the_look_after_it() {
+    let config = EyeConfig::default();
+    let camera = CameraId::new("side").unwrap();
+    let (mut first, mut second) = (
+        FirstLook::new(camera.clone(), &config, 640, 240),
+        SecondLook::new(&config),
+    );
+    let mut eye = CameraEye::new(camera, config, 640, 240);
+    let (mut early, mut found) = (0, Vec::new());
+    for frame in frames() {
+        first.push(&frame).unwrap();
+        eye.push(&frame).unwrap();
+        for ending in first.ending() {
+            second.look_early(ending);
+            early += 1;
+        }
+        found.extend(first.drain().into_iter().map(|ended| second.look(ended).0));
+    }
+    let tracks = |balls: Vec<TrackedBall>| balls.into_iter().map(|b| b.track).collect::<Vec<_>>();
+    let (found, expected) = (tracks(found), tracks(eye.drain_balls()));
+    assert_eq!(early, 1);
+    assert!(
+        expected.len() == 1 && expected[0].points.len() > 40,
+        "{expected:?}"
+    );
+    assert_eq!(found, expected);
+}

@@ -6,7 +6,7 @@ use super::config::TrackerConfig;
 use super::ending::conclude;
 use super::hypothesis::{Hypothesis, Match, Point, aligned};
 use super::open::{OpenPath, open_paths};
-use super::shape::{TrackKind, TrackedBall};
+use super::shape::{TrackKind, TrackShape, TrackedBall};
 use crate::geometry::Pixel;
 use crate::scene::{CameraId, Detection, FrameStamp};
 
@@ -20,6 +20,8 @@ const HISTORY_FRAMES: usize = 400;
 const BRANCHES: usize = 2;
 /// A path shorter than this may miss this many frames only.
 const YOUNG: (usize, f64) = (6, 3.0);
+/// Paths looked at in one frame before they have ended.
+const ENDING_MAX: usize = 2;
 /// Two paths that share more than this are one ball.
 const SHARED_MAX: f64 = 0.3;
 /// Branches of one beginning that are followed at once. An arm has dozens with more points than a ball just thrown:
@@ -134,6 +136,38 @@ impl Tracker {
     /// The likeliest of the paths being followed.
     pub fn open(&self) -> Vec<OpenPath> {
         open_paths(&self.alive, &self.config)
+    }
+
+    /// What the paths that have just missed `frames` frames would be if they ended now: mostly they have.
+    pub fn ending(&self, frames: f64) -> Vec<TrackedBall> {
+        let Some(newest) = self.history.back() else {
+            return Vec::new();
+        };
+        let missed = |h: &Hypothesis| newest.t - h.last_t();
+        let candidates = self.alive.iter().filter(|h| {
+            h.points.len() >= self.config.points_min && (frames - 0.5..frames + 0.5).contains(&missed(h))
+        });
+        let mut taken: Vec<&Hypothesis> = Vec::new();
+        for hypothesis in candidates {
+            let better = |other: &&Hypothesis| {
+                other.score > hypothesis.score && hypothesis.shared(&other.points) > SHARED_MAX
+            };
+            if taken.len() < ENDING_MAX && !self.alive.iter().any(|h| better(&h)) {
+                taken.push(hypothesis);
+            }
+        }
+        let balls = taken.into_iter();
+        balls
+            .filter_map(|h| conclude(&self.config, &self.camera, h, &self.history))
+            .map(|(_, ball)| ball)
+            .filter(|ball| ball.kind == TrackKind::Pitch && self.is_surely_flying(&ball.shape))
+            .collect()
+    }
+
+    /// Whether a shape is far beyond what a player's limb makes.
+    fn is_surely_flying(&self, shape: &TrackShape) -> bool {
+        shape.path_radii() > 3.0 * self.config.path_radii_min
+            && shape.speed_radii_per_s() > 1.5 * self.config.speed_radii_per_s_min
     }
 
     /// The balls finished since the last call.

@@ -118,6 +118,7 @@ pub fn open(options: &LiveOptions, address: Ipv4Addr) -> Result<Opened, LiveErro
     let camera = Camera::new(Some(&address.to_string())).map_err(failed("open"))?;
     // A camera left streaming by a crashed program refuses new settings.
     let _ = camera.stop_acquisition();
+    shorten_heartbeat(options, &camera);
     set_image(options, &camera)?;
     let exposure_s = set_timing(options, &camera)?;
     if options.ptp == Ptp::WhereAvailable && camera.is_feature_available("PtpEnable").unwrap_or(false) {
@@ -151,6 +152,21 @@ fn setting<T: std::fmt::Display>(
         setting,
         value: value.to_string(),
         reason: error.message().to_owned(),
+    }
+}
+
+/// A camera waits this long for a program that died before another may have it, milliseconds. The library sends a
+/// heartbeat a second.
+const HEARTBEAT_MS: i64 = 3000;
+
+/// Some cameras wait for ten seconds or more; after a crash they would be missing for as long.
+fn shorten_heartbeat(options: &LiveOptions, camera: &Camera) {
+    let name = "GevHeartbeatTimeout";
+    if camera.is_feature_available(name).unwrap_or(false)
+        && camera.integer(name).is_ok_and(|ms| ms > HEARTBEAT_MS)
+        && let Err(error) = camera.set_integer(name, HEARTBEAT_MS)
+    {
+        tracing::info!(camera = %options.camera, %error, "its heartbeat timeout stays as it is");
     }
 }
 
