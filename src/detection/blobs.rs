@@ -4,6 +4,8 @@
 
 use std::ops::Range;
 
+use nalgebra::Vector2;
+
 use super::dispatch::Kernels;
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::regions::RegionNoise;
@@ -15,6 +17,9 @@ const RUNS_MAX: usize = 16_384;
 const JOIN_GAP_PX: usize = 2;
 const JOINED_SIDE_PX: usize = 26;
 const JOINED_BLOBS_MAX: usize = 400;
+/// Of a blob with a longer side one run in so many is read.
+pub const LARGE_SIDE_PX: usize = 48;
+const LARGE_SHARE: usize = 4;
 /// Pixels that may be missing between two runs of one blob.
 const GAP_PX: usize = 1;
 
@@ -73,6 +78,8 @@ pub struct Blob {
     pub bottom: usize,
     /// Pixels.
     pub area_px: usize,
+    /// Sum of their columns and of their rows.
+    pub place_sum: [usize; 2],
     /// Sum of the size of the change, levels.
     pub change_sum: i64,
     /// Largest size of change, levels.
@@ -87,7 +94,7 @@ pub struct BlobFinder {
     columns: Vec<usize>,
     masks: Vec<[u64; TILE_HEIGHT_PX]>,
     runs: Vec<Run>,
-    blob_of_root: Vec<u32>,
+    blob_of_run: Vec<usize>,
     /// The blobs of the last search.
     pub blobs: Vec<Blob>,
     /// Whether the last search ran out of runs.
@@ -95,6 +102,19 @@ pub struct BlobFinder {
 }
 
 impl Blob {
+    /// Longer side less one, pixels.
+    pub fn side_px(&self) -> usize {
+        (self.right - self.left).max(self.bottom - self.top)
+    }
+
+    /// Mean place of its pixels.
+    pub fn middle_px(&self) -> Vector2<f64> {
+        let [x, y] = self
+            .place_sum
+            .map(|sum| sum as f64 / self.area_px.max(1) as f64);
+        Vector2::new(x, y)
+    }
+
     /// Change summed over its noise: larger is surer.
     pub fn significance(&self) -> f64 {
         self.change_sum as f64
@@ -117,6 +137,9 @@ impl Blob {
         self.top = self.top.min(other.top);
         self.bottom = self.bottom.max(other.bottom);
         self.area_px += other.area_px;
+        for (sum, more) in self.place_sum.iter_mut().zip(other.place_sum) {
+            *sum += more;
+        }
         self.change_sum += other.change_sum;
         self.peak = self.peak.max(other.peak);
     }
@@ -165,7 +188,7 @@ impl BlobFinder {
             columns: Vec::with_capacity(tiles),
             masks: Vec::with_capacity(tiles),
             runs: Vec::with_capacity(RUNS_MAX),
-            blob_of_root: Vec::with_capacity(RUNS_MAX),
+            blob_of_run: Vec::with_capacity(RUNS_MAX),
             blobs: Vec::with_capacity(RUNS_MAX),
             overflowed: false,
         }
@@ -285,41 +308,62 @@ impl BlobFinder {
     }
 
     fn gather(&mut self, images: &Images<'_>, noise: &RegionNoise) {
-        self.blob_of_root.clear();
-        self.blob_of_root.resize(self.runs.len(), u32::MAX);
+        self.blob_of_run.clear();
         for index in 0..self.runs.len() {
-            let root = self.root(index as u32) as usize;
             let Some(run) = self.runs.get(index).copied() else {
                 continue;
             };
-            let Some(slot) = self.blob_of_root.get_mut(root) else {
-                continue;
-            };
+            // A parent always comes before its child, so its blob is known.
+            let known = self.blob_of_run.get(run.parent as usize).copied();
+            let slot = known.unwrap_or(self.blobs.len());
+            self.blob_of_run.push(slot);
             let (y, begin, last) = (run.y as usize, run.begin as usize, run.end as usize - 1);
-            if *slot == u32::MAX {
-                *slot = self.blobs.len() as u32;
+            if known.is_none() {
                 self.blobs.push(Blob {
                     left: begin,
                     right: last,
                     top: y,
                     bottom: y,
                     area_px: 0,
+                    place_sum: [0; 2],
                     change_sum: 0,
                     peak: 0,
                     difference_sigma: noise.difference_sigma(y / TILE_HEIGHT_PX, begin / TILE_WIDTH_PX),
                 });
             }
-            let Some(blob) = self.blobs.get_mut(*slot as usize) else {
+            let Some(blob) = self.blobs.get_mut(slot) else {
                 continue;
             };
+            let length = last + 1 - begin;
             blob.left = blob.left.min(begin);
             blob.right = blob.right.max(last);
             blob.top = blob.top.min(y);
             blob.bottom = blob.bottom.max(y);
-            blob.area_px += last + 1 - begin;
-            let at = y * images.width_px + begin;
-            let (sum, peak) = self.kernels.change_of_run(images.levels(), at, last + 1 - begin);
-            blob.change_sum += i64::from(sum);
+            blob.area_px += length;
+            blob.place_sum[0] += length * (begin + last) / 2;
+            blob.place_sum[1] += length * y;
+        }
+        self.add_changes(images);
+    }
+
+    /// Adds up the change of every blob; of large ones, which are no ball by themselves, that of a few runs.
+    fn add_changes(&mut self, images: &Images<'_>) {
+        for (index, (run, slot)) in self.runs.iter().zip(&self.blob_of_run).enumerate() {
+            let Some(blob) = self.blobs.get_mut(*slot) else {
+                continue;
+            };
+            let share = if blob.side_px() > LARGE_SIDE_PX {
+                LARGE_SHARE
+            } else {
+                1
+            };
+            if !index.is_multiple_of(share) {
+                continue;
+            }
+            let at = run.y as usize * images.width_px + run.begin as usize;
+            let length = (run.end - run.begin) as usize;
+            let (sum, peak) = self.kernels.change_of_run(images.levels(), at, length);
+            blob.change_sum += i64::from(sum) * share as i64;
             blob.peak = blob.peak.max(i32::from(peak));
         }
     }

@@ -5,7 +5,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 
-use super::blobs::{Blob, Images};
+use super::blobs::Images;
 use super::kernel::{WEIGHT_STEPS, WINDOW_MAX_PX};
 
 /// Centroid may be off the geometric centre by this share of the radius (measured 0.25–0.75 px at 3 px).
@@ -72,8 +72,12 @@ impl Sums {
         let (half, mixed) = (0.5 * (spread.m11 - spread.m22), spread.m12);
         let (middle, apart) = (0.5 * (spread.m11 + spread.m22), half.hypot(mixed));
         let (long, wide) = (middle + apart, middle - apart);
-        let angle = 0.5 * mixed.atan2(half);
-        let along = Vector2::new(angle.cos(), angle.sin());
+        let axis = if half >= 0.0 {
+            Vector2::new(half + apart, mixed)
+        } else {
+            Vector2::new(mixed, apart - half)
+        };
+        let along = axis.try_normalize(1e-12).unwrap_or_else(Vector2::x);
         let across_variance = (wide - BLUR_VARIANCE_PX2).max(0.15);
         let excess = (long - wide).max(0.0);
         let radius_px = 2.0 * across_variance.sqrt();
@@ -115,18 +119,6 @@ fn read_window(
         second: Matrix2::new(xx, xy, xy, yy),
         count: read.count as f64,
     }
-}
-
-/// Moments of the blob's change within its box grown by one pixel.
-pub fn moments(images: &Images<'_>, blob: &Blob) -> Option<Moments> {
-    let sigma = f64::from(blob.difference_sigma);
-    let (left, top) = (blob.left.saturating_sub(1), blob.top.saturating_sub(1));
-    let width = (blob.right + 2).min(images.width_px).saturating_sub(left);
-    let height = (blob.bottom + 2).min(images.height_px).saturating_sub(top);
-    let rows: Rows = [(0, width.min(WINDOW_MAX_PX)); WINDOW_MAX_PX];
-    let rows = rows.get(..height.min(WINDOW_MAX_PX))?;
-    let sums = read_window(images, (left, top), rows, FLOOR_SIGMAS * sigma);
-    sums.moments(Vector2::new(left as f64, top as f64), sigma)
 }
 
 /// Moments within a round window that moves to the change it contains.

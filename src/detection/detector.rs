@@ -1,11 +1,11 @@
 //! One camera's detector: takes frames in time order, answers each a few frames later.
 
-use super::blobs::{Blob, BlobFinder, Images};
-use super::centroid::{Moments, moments, strongest_near, window_moments};
+use super::blobs::{Blob, BlobFinder, Images, LARGE_SIDE_PX};
+use super::candidates::{apart, candidate, look_at, small_ball};
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
 use super::error::DetectionError;
-use super::history::History;
+use super::history::{History, Triple};
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::movers::MoverSearch;
 use super::patches::PatchPool;
@@ -19,8 +19,6 @@ const LEARN_EVERY_BANDS: usize = 16;
 /// A blob of fewer pixels is noise.
 const AREA_MIN_PX: usize = 4;
 
-/// A blob with a longer side is no ball by itself, but may hold one: the spots in it are candidates.
-const BLOB_SIDE_MAX_PX: usize = 48;
 /// Frames before and after that show what moves behind a ball: at most so many.
 const NEAR_FRAMES_MAX: usize = 3;
 /// Large blobs looked into in one frame.
@@ -28,12 +26,6 @@ const LARGE_BLOBS_MAX: usize = 8;
 /// A blob with a longer side may be a ball and something else, and so many of these are looked into.
 const MIXED_SIDE_MIN_PX: usize = 12;
 const MIXED_BLOBS_MAX: usize = 16;
-/// Pixels around a small blob that are looked at too.
-const WINDOW_MARGIN_PX: f64 = 3.5;
-/// An expected ball is believed from this many σ of a pixel's difference, as the mean over 3×3 pixels.
-const EXPECTED_SIGMAS: f64 = 1.5;
-/// Candidates nearer than this to each other are one, pixels.
-const APART_PX: f64 = 2.5;
 /// Most expected balls of one frame.
 const EXPECTED_MAX: usize = 8;
 
@@ -259,15 +251,24 @@ impl Detector {
         Some(changed)
     }
 
+    /// Decides the next frame.
     fn answer_next(&mut self, ended: bool, answers: &mut dyn Answers) {
         let index = self.next_answer;
         self.next_answer += 1;
         self.detections.clear();
         self.found.clear();
-        let Some(triple) = self.history.triple(index, self.lag, ended) else {
+        // Out of `self` for now: the images borrow from it while the rest of `self` works.
+        let history = std::mem::take(&mut self.history);
+        if let Some(triple) = history.triple(index, self.lag, ended) {
+            let step = self.lag.div_ceil(2).min(NEAR_FRAMES_MAX);
+            self.answer(&triple, history.near(index, step), answers);
+        } else {
             self.counters.unanswered += 1;
-            return;
-        };
+        }
+        self.history = history;
+    }
+
+    fn answer(&mut self, triple: &Triple<'_>, near: Option<(&Frame, &Frame)>, answers: &mut dyn Answers) {
         let stamp = triple.current.frame.stamp;
         self.tiles
             .set_both(triple.current.changed.as_ref(), triple.changed_after);
@@ -286,69 +287,16 @@ impl Detector {
             one: triple.one.bytes(),
             other: triple.other.bytes(),
         };
-        let step = self.lag.div_ceil(2).min(NEAR_FRAMES_MAX);
-        let near = self.history.near(index, step).map(|(one, other)| Images {
+        let near = near.map(|(one, other)| Images {
             one: one.bytes(),
             other: other.bytes(),
             ..images
         });
-        self.blobs.find(&images, &self.tiles, &self.noise);
-        self.counters.overflows += u64::from(self.blobs.overflowed);
-        let sigmas = self.config.threshold_sigmas;
-        self.blobs.blobs.retain(|blob| {
-            f64::from(blob.peak) > sigmas * f64::from(blob.difference_sigma) && blob.area_px >= AREA_MIN_PX
-        });
-        // The moments are dear: only the strongest blobs get them.
-        self.blobs
-            .blobs
-            .sort_unstable_by(|a, b| b.significance().total_cmp(&a.significance()));
-        let most = self.config.candidates_max;
-        self.counters.candidates_dropped += self.blobs.blobs.len().saturating_sub(most) as u64;
-        let (mut large, mut mixed) = (LARGE_BLOBS_MAX, MIXED_BLOBS_MAX);
-        for blob in self.blobs.blobs.iter().take(most) {
-            let side = (blob.right - blob.left).max(blob.bottom - blob.top);
-            let whole = if side > BLOB_SIDE_MAX_PX {
-                None
-            } else {
-                small_ball(&images, blob, side).and_then(|m| candidate(&self.config, stamp, &m))
-            };
-            self.found.extend(whole.map(|found| (found, *blob, Behind::Far)));
-            // Larger than a ball: a player with a ball before him, or a ball that touches something that moves.
-            let budget = if side > BLOB_SIDE_MAX_PX {
-                &mut large
-            } else if side > MIXED_SIDE_MIN_PX {
-                &mut mixed
-            } else {
-                continue;
-            };
-            let Some(left) = budget.checked_sub(1) else {
-                continue;
-            };
-            *budget = left;
-            if let Some(near) = &near {
-                let threshold = (0.5 * sigmas * f64::from(blob.difference_sigma)).clamp(1.0, 254.0) as u8;
-                for (moments, spot) in self.movers.find(near, blob, step + 1, threshold) {
-                    if let Some(found) = candidate(&self.config, stamp, &moments)
-                        && whole.is_none_or(|whole| apart(&whole, &found))
-                    {
-                        self.found.push((found, spot, Behind::Near));
-                    }
-                }
-            }
-        }
+        self.find_blobs(&images);
+        self.look_into_blobs(&images, near.as_ref(), stamp);
         self.expected.clear();
         answers.expect(stamp, &mut self.expected);
-        for expected in self.expected.iter().take(EXPECTED_MAX) {
-            let sigma = self.noise.difference_sigma(
-                expected.centre.y.max(0.0) as usize / TILE_HEIGHT_PX,
-                expected.centre.x.max(0.0) as usize / TILE_WIDTH_PX,
-            );
-            if let Some(found) = look_at(&images, expected, sigma, &self.config, stamp)
-                && self.found.iter().all(|(other, ..)| apart(other, &found.0))
-            {
-                self.found.push((found.0, found.1, Behind::Far));
-            }
-        }
+        self.look_where_expected(&images, stamp);
         self.found.sort_by(|a, b| b.0.strength.total_cmp(&a.0.strength));
         let extra = self.found.len().saturating_sub(self.config.candidates_max);
         self.counters.candidates_dropped += extra as u64;
@@ -363,83 +311,70 @@ impl Detector {
         }
         answers.answer(stamp, &self.detections);
     }
-}
 
-/// Whether two detections are not of the same ball.
-fn apart(one: &Detection, other: &Detection) -> bool {
-    (one.centre.vector() - other.centre.vector()).norm() > APART_PX
-}
-
-fn candidate(config: &DetectorConfig, stamp: FrameStamp, found: &Moments) -> Option<Detection> {
-    let [smallest, largest] = config.radius_px;
-    let streak = found.streak_px.norm();
-    let fits = (smallest * 0.4..=largest).contains(&found.radius_px) && streak <= 5.0 * largest;
-    let (x, y) = (found.centre_px.x, found.centre_px.y);
-    if !fits || config.masks.iter().any(|mask| mask.contains(x, y)) {
-        return None;
+    /// The blobs that stand out, strongest first.
+    fn find_blobs(&mut self, images: &Images<'_>) {
+        self.blobs.find(images, &self.tiles, &self.noise);
+        self.counters.overflows += u64::from(self.blobs.overflowed);
+        let sigmas = self.config.threshold_sigmas;
+        let blobs = &mut self.blobs.blobs;
+        blobs.retain(|blob| {
+            f64::from(blob.peak) > sigmas * f64::from(blob.difference_sigma) && blob.area_px >= AREA_MIN_PX
+        });
+        blobs.sort_unstable_by(|a, b| b.significance().total_cmp(&a.significance()));
+        let extra = blobs.len().saturating_sub(self.config.candidates_max);
+        self.counters.candidates_dropped += extra as u64;
+        // The moments are dear: only the strongest blobs get them.
+        blobs.truncate(self.config.candidates_max);
     }
-    Some(Detection {
-        frame: stamp.frame,
-        stamped: stamp.stamped,
-        centre: Pixel::new(x, y),
-        covariance_px2: found.covariance_px2,
-        radius_px: found.radius_px,
-        streak_px: [found.streak_px.x, found.streak_px.y],
-        strength: found.strength,
-    })
-}
 
-/// Moments of a small blob and of what is around it: the side of a ball that the light leaves near the
-/// background's level is too weak to be of the blob.
-fn small_ball(images: &Images<'_>, blob: &Blob, side_px: usize) -> Option<Moments> {
-    let own = moments(images, blob)?;
-    let window_px = 0.5 * side_px as f64 + WINDOW_MARGIN_PX;
-    window_moments(images, own.centre_px, window_px, f64::from(blob.difference_sigma)).or(Some(own))
-}
-
-/// A weak ball where one is expected.
-fn look_at(
-    images: &Images<'_>,
-    expected: &ExpectedBall,
-    difference_sigma: f32,
-    config: &DetectorConfig,
-    stamp: FrameStamp,
-) -> Option<(Detection, Blob)> {
-    let (place, strength) = strongest_near(
-        images,
-        expected.centre.x,
-        expected.centre.y,
-        expected.reach_px.clamp(2.0, 16.0),
-    )?;
-    if strength < EXPECTED_SIGMAS * f64::from(difference_sigma) {
-        return None;
+    /// Small blobs are candidates; in larger ones spots in front of what moves are.
+    fn look_into_blobs(&mut self, images: &Images<'_>, near: Option<&Images<'_>>, stamp: FrameStamp) {
+        let (mut large, mut mixed) = (LARGE_BLOBS_MAX, MIXED_BLOBS_MAX);
+        for blob in &self.blobs.blobs {
+            let whole = if blob.side_px() > LARGE_SIDE_PX {
+                None
+            } else {
+                small_ball(images, blob).and_then(|m| candidate(&self.config, stamp, &m))
+            };
+            self.found.extend(whole.map(|found| (found, *blob, Behind::Far)));
+            // Larger than a ball: a player with a ball before him, or a ball that touches something that moves.
+            let budget = if blob.side_px() > LARGE_SIDE_PX {
+                &mut large
+            } else if blob.side_px() > MIXED_SIDE_MIN_PX {
+                &mut mixed
+            } else {
+                continue;
+            };
+            let (Some(left), Some(near)) = (budget.checked_sub(1), near) else {
+                continue;
+            };
+            *budget = left;
+            let sigmas = 0.5 * self.config.threshold_sigmas * f64::from(blob.difference_sigma);
+            let threshold = sigmas.clamp(1.0, 254.0) as u8;
+            let step = self.lag.div_ceil(2).min(NEAR_FRAMES_MAX);
+            for (moments, spot) in self.movers.find(near, blob, step + 1, threshold) {
+                if let Some(found) = candidate(&self.config, stamp, &moments)
+                    && whole.is_none_or(|whole| apart(&whole, &found))
+                {
+                    self.found.push((found, spot, Behind::Near));
+                }
+            }
+        }
     }
-    let window_px = (1.5 * expected.radius_px + 2.0).clamp(4.0, 14.0);
-    in_window(images, place, window_px, difference_sigma, (config, stamp))
-}
 
-/// A candidate from the change within a round window.
-fn in_window(
-    images: &Images<'_>,
-    place: nalgebra::Vector2<f64>,
-    window_px: f64,
-    difference_sigma: f32,
-    (config, stamp): (&DetectorConfig, FrameStamp),
-) -> Option<(Detection, Blob)> {
-    let moments = window_moments(images, place, window_px, f64::from(difference_sigma))?;
-    let detection = candidate(config, stamp, &moments)?;
-    let (x, y) = (detection.centre.x.max(0.0), detection.centre.y.max(0.0));
-    let low = |value: f64| (value - window_px).max(0.0) as usize;
-    let high = |value: f64, size: usize| ((value + window_px) as usize).min(size.saturating_sub(1));
-    let blob = Blob {
-        left: low(x),
-        right: high(x, images.width_px),
-        top: low(y),
-        bottom: high(y, images.height_px),
-        area_px: 0,
-        change_sum: 0,
-        peak: 0,
-        difference_sigma,
-    };
-    Some((detection, blob))
+    /// Weak candidates where balls are expected.
+    fn look_where_expected(&mut self, images: &Images<'_>, stamp: FrameStamp) {
+        for expected in self.expected.iter().take(EXPECTED_MAX) {
+            let sigma = self.noise.difference_sigma(
+                expected.centre.y.max(0.0) as usize / TILE_HEIGHT_PX,
+                expected.centre.x.max(0.0) as usize / TILE_WIDTH_PX,
+            );
+            if let Some(found) = look_at(images, expected, sigma, &self.config, stamp)
+                && self.found.iter().all(|(other, ..)| apart(other, &found.0))
+            {
+                self.found.push((found.0, found.1, Behind::Far));
+            }
+        }
+    }
 }

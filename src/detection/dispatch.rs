@@ -57,6 +57,23 @@ pub struct Kernels {
     isa: Isa,
 }
 
+/// The top bits of sixteen bytes.
+#[inline(always)]
+pub fn top_bits(flags: &[u8; 16]) -> u16 {
+    let value = u128::from_le_bytes(*flags);
+    #[cfg(target_arch = "x86_64")]
+    {
+        use std::arch::x86_64::{_mm_movemask_epi8, _mm_set_epi64x};
+        // SAFETY: every x86-64 has SSE2.
+        unsafe { _mm_movemask_epi8(_mm_set_epi64x((value >> 64) as i64, value as i64)) as u16 }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    {
+        let low = |eight: u64| kernel::low_bits(((eight >> 7) & 0x0101_0101_0101_0101).to_le_bytes()) as u16;
+        low(value as u64) | low((value >> 64) as u64) << 8
+    }
+}
+
 macro_rules! dispatched {
     ($(#[$doc:meta])* $name:ident ( $($arg:ident : $type:ty),* ) $(-> $result:ty)?) => {
         impl Kernels {

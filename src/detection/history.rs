@@ -14,6 +14,7 @@ pub struct Seen {
 }
 
 /// Frames of one window by their index in it; old ones are dropped, their maps used again.
+#[derive(Default)]
 pub struct History {
     seen: VecDeque<Seen>,
     first_index: usize,

@@ -2,6 +2,7 @@
 //!
 //! All arithmetic is on bytes with saturation, so every instruction set gives the same bits.
 
+use super::dispatch;
 pub use super::lanes::linearise;
 
 /// Columns of a tile.
@@ -141,18 +142,16 @@ fn tile_row_mask(
 ) -> u64 {
     let mut flags = [0u8; TILE_WIDTH_PX];
     for (((flag, c), a), b) in flags.iter_mut().zip(c).zip(a).zip(b) {
-        *flag = u8::from(change(*c, *a, *b) > threshold);
+        *flag = if change(*c, *a, *b) > threshold { u8::MAX } else { 0 };
     }
-    let (eights, _) = flags.as_chunks::<8>();
-    eights
-        .iter()
-        .rev()
-        .fold(0, |mask, eight| (mask << 8) | low_bits(*eight))
+    let (sixteens, _) = flags.as_chunks::<16>();
+    let halves = sixteens.iter().rev();
+    halves.fold(0, |mask, flags| (mask << 16) | u64::from(dispatch::top_bits(flags)))
 }
 
 /// The low bits of eight bytes.
 #[inline(always)]
-fn low_bits(bytes: [u8; 8]) -> u64 {
+pub fn low_bits(bytes: [u8; 8]) -> u64 {
     u64::from_le_bytes(bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56
 }
 
@@ -181,28 +180,12 @@ pub fn tile_masks(
             <&[u8; TILE_WIDTH_PX]>::try_from(a),
             <&[u8; TILE_WIDTH_PX]>::try_from(b),
         ) {
-            (Ok(c), Ok(a), Ok(b)) if !changes_beyond(c, a, b, threshold) => 0,
             (Ok(c), Ok(a), Ok(b)) => tile_row_mask(c, a, b, threshold),
             _ => change_mask(c, a, b, threshold),
         };
         any |= *mask;
     }
     any != 0
-}
-
-/// Whether any pixel of a row of a tile changes by more than the threshold.
-#[inline(always)]
-fn changes_beyond(
-    c: &[u8; TILE_WIDTH_PX],
-    a: &[u8; TILE_WIDTH_PX],
-    b: &[u8; TILE_WIDTH_PX],
-    threshold: u8,
-) -> bool {
-    let mut over = [0u8; TILE_WIDTH_PX];
-    for (((over, c), a), b) in over.iter_mut().zip(c).zip(a).zip(b) {
-        *over = change(*c, *a, *b).saturating_sub(threshold);
-    }
-    over.iter().fold(0, |any, over| any | over) != 0
 }
 
 /// The range of levels per column over some rows of two images: `rows` rows from `begin` on, `stride` apart.
@@ -271,6 +254,8 @@ pub struct WindowSums {
 pub const WEIGHT_STEPS: u32 = 8;
 /// A window is no wider and no higher than this, pixels: its sums fit 32 bits in each of [`SUM_LANES`] lanes.
 pub const WINDOW_MAX_PX: usize = 64;
+/// Most rows of a window are no wider than this, pixels.
+const NARROW_PX: usize = 32;
 /// Lanes of the sums.
 const SUM_LANES: usize = 8;
 
@@ -289,8 +274,21 @@ pub fn window_sums(
     for (y, (first, length)) in (0u32..).zip(rows) {
         let from = begin + y as usize * stride;
         let mut sizes = [0u8; WINDOW_MAX_PX];
-        row_in_window((current, one, other), from, (*first, *length), &mut sizes);
-        let end = (first + length).min(WINDOW_MAX_PX).div_ceil(SUM_LANES);
+        let columns = (*first, *length);
+        let end = (first + length).min(WINDOW_MAX_PX);
+        let read = end <= NARROW_PX && row_in_window::<NARROW_PX>((current, one, other), from, columns, &mut sizes);
+        if !read && !row_in_window::<WINDOW_MAX_PX>((current, one, other), from, columns, &mut sizes) {
+            let piece = from + first..from + end;
+            if let (Some(c), Some(a), Some(b), Some(sizes)) = (
+                current.get(piece.clone()),
+                one.get(piece.clone()),
+                other.get(piece),
+                sizes.get_mut(*first..end),
+            ) {
+                change_row(c, a, b, sizes);
+            }
+        }
+        let end = end.div_ceil(SUM_LANES);
         let (eights, _) = sizes.as_chunks::<SUM_LANES>();
         let (mut row_sum, mut row_by_x) = ([0u32; SUM_LANES], [0u32; SUM_LANES]);
         for (block, eight) in eights.iter().enumerate().take(end).skip(first / SUM_LANES) {
@@ -320,37 +318,25 @@ pub fn window_sums(
     }
 }
 
-/// The size of the change of a row of a window that begins at `from`, 0 outside the columns `first .. first + length`.
+/// The size of the change of a row of a window that begins at `from`, 0 outside the columns `first .. first + length`, all
+/// of them among the first `WIDTH`. `false`, and nothing read, where fewer pixels are left.
 #[inline(always)]
-fn row_in_window(
+fn row_in_window<const WIDTH: usize>(
     (current, one, other): (&[u8], &[u8], &[u8]),
     from: usize,
     (first, length): (usize, usize),
     sizes: &mut [u8; WINDOW_MAX_PX],
-) {
-    let whole = |all: &'_ [u8]| -> Option<[u8; WINDOW_MAX_PX]> {
-        all.get(from..from + WINDOW_MAX_PX)?.try_into().ok()
+) -> bool {
+    let whole = |all: &[u8]| -> Option<[u8; WIDTH]> { all.get(from..from + WIDTH)?.try_into().ok() };
+    let (Some(c), Some(a), Some(b)) = (whole(current), whole(one), whole(other)) else {
+        return false;
     };
-    let (low, length) = (
-        first.min(WINDOW_MAX_PX),
-        length.min(WINDOW_MAX_PX.saturating_sub(first)),
-    );
-    if let (Some(c), Some(a), Some(b)) = (whole(current), whole(one), whole(other)) {
-        for i in 0..WINDOW_MAX_PX {
-            let inside = (i as u8).wrapping_sub(low as u8) < length as u8;
-            sizes[i] = if inside { change(c[i], a[i], b[i]) } else { 0 };
-        }
-        return;
+    let (low, length) = (first.min(WIDTH), length.min(WIDTH.saturating_sub(first)));
+    for (i, size) in sizes.iter_mut().enumerate().take(WIDTH) {
+        let inside = (i as u8).wrapping_sub(low as u8) < length as u8;
+        *size = if inside { change(c[i], a[i], b[i]) } else { 0 };
     }
-    let piece = from + low..from + low + length;
-    if let (Some(c), Some(a), Some(b), Some(sizes)) = (
-        current.get(piece.clone()),
-        one.get(piece.clone()),
-        other.get(piece),
-        sizes.get_mut(low..low + length),
-    ) {
-        change_row(c, a, b, sizes);
-    }
+    true
 }
 
 /// Sum and largest size of the change of `length` pixels from `begin` on; (0, 0) where an image ends before.

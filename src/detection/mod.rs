@@ -11,6 +11,7 @@
 
 mod background;
 mod blobs;
+mod candidates;
 mod centroid;
 mod config;
 mod detector;

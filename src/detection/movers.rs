@@ -115,6 +115,7 @@ impl MoverSearch {
                     top: spot.top,
                     bottom: spot.bottom,
                     area_px: spot.area_px,
+                    place_sum: [0; 2],
                     change_sum: 0,
                     peak: spot.peak,
                     difference_sigma: sigma,
