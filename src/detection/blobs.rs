@@ -109,9 +109,7 @@ impl Blob {
 
     /// Mean place of its pixels.
     pub fn middle_px(&self) -> Vector2<f64> {
-        let [x, y] = self
-            .place_sum
-            .map(|sum| sum as f64 / self.area_px.max(1) as f64);
+        let [x, y] = self.place_sum.map(|sum| sum as f64 / self.area_px.max(1) as f64);
         Vector2::new(x, y)
     }
 

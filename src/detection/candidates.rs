@@ -43,7 +43,12 @@ pub fn candidate(config: &DetectorConfig, stamp: FrameStamp, found: &Moments) ->
 /// background's level is too weak to be of the blob.
 pub fn small_ball(images: &Images<'_>, blob: &Blob) -> Option<Moments> {
     let window_px = 0.5 * blob.side_px() as f64 + WINDOW_MARGIN_PX;
-    window_moments(images, blob.middle_px(), window_px, f64::from(blob.difference_sigma))
+    window_moments(
+        images,
+        blob.middle_px(),
+        window_px,
+        f64::from(blob.difference_sigma),
+    )
 }
 
 /// A weak ball where one is expected.

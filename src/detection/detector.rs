@@ -8,6 +8,7 @@ use super::error::DetectionError;
 use super::history::{History, Triple};
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::movers::MoverSearch;
+use super::packed::UnpackedFrames;
 use super::patches::PatchPool;
 use super::regions::{REGION_TILES, RegionNoise};
 use super::tiles::TileMap;
@@ -77,11 +78,12 @@ enum Behind {
 /// One camera's detector.
 pub struct Detector {
     config: DetectorConfig,
-    width_px: usize,
-    height_px: usize,
-    kernels: Kernels,
+    pub(super) width_px: usize,
+    pub(super) height_px: usize,
+    pub(super) kernels: Kernels,
+    pub(super) history: History,
+    pub(super) unpacked: UnpackedFrames,
     noise: RegionNoise,
-    history: History,
     lag: usize,
     next_lag: usize,
     next_answer: usize,
@@ -111,6 +113,7 @@ impl Detector {
             height_px: height,
             kernels: Kernels::new(isa),
             noise: RegionNoise::new(&config, width, height),
+            unpacked: UnpackedFrames::default(),
             history: History::new(3 * lag_max + 2, width, height),
             lag: config.lag_frames.max(1),
             next_lag: config.lag_frames.max(1),
@@ -142,11 +145,27 @@ impl Detector {
     /// candidates (strongest first, possibly none).
     pub fn detect(&mut self, frame: &Frame, answers: &mut dyn Answers) -> Result<(), DetectionError> {
         self.check_size(frame)?;
+        self.begin(frame.stamp, answers);
+        let mut changed = self.history.spare_map(self.width_px, self.height_px);
+        let previous = self.history.newest().map(|seen| seen.frame.clone());
+        if let Some(previous) = &previous {
+            let band_bytes = self.width_px * TILE_HEIGHT_PX;
+            let (now, before) = (
+                frame.bytes().chunks(band_bytes),
+                previous.bytes().chunks(band_bytes),
+            );
+            for (band, pixels) in now.zip(before).enumerate() {
+                self.scan_band(band, pixels, &mut changed);
+            }
+        }
+        self.take(frame.clone(), previous.is_some().then_some(changed), answers);
+        Ok(())
+    }
+
+    /// Ends the window where this stamp does not follow the last one.
+    pub(super) fn begin(&mut self, stamp: FrameStamp, answers: &mut dyn Answers) {
         if let Some(newest) = self.history.newest() {
-            let step = frame
-                .stamp
-                .stamped
-                .seconds_since(newest.frame.stamp.stamped.nanos());
+            let step = stamp.stamped.seconds_since(newest.frame.stamp.stamped.nanos());
             if step <= 0.0 || step > self.config.break_s {
                 self.flush(answers);
             }
@@ -155,8 +174,11 @@ impl Detector {
             self.counters.windows += 1;
         }
         self.counters.frames += 1;
-        let changed = self.scan(frame);
-        self.history.push(frame.clone(), changed);
+    }
+
+    /// Takes a frame that has been scanned, and decides what can be decided.
+    pub(super) fn take(&mut self, frame: Frame, changed: Option<TileMap>, answers: &mut dyn Answers) {
+        self.history.push(frame, changed);
         let newest = self.history.count() - 1;
         loop {
             let needs = if self.next_answer < self.lag {
@@ -171,7 +193,6 @@ impl Detector {
         }
         self.history
             .forget_before(self.next_answer.saturating_sub(2 * self.lag));
-        Ok(())
     }
 
     /// Ends the window: decides the frames still open.
@@ -215,40 +236,36 @@ impl Detector {
         })
     }
 
-    /// One pass over the frame and the one before: tiles that changed, and the noise of every region.
-    fn scan(&mut self, frame: &Frame) -> Option<TileMap> {
-        let mut changed = self.history.spare_map(self.width_px, self.height_px);
-        let previous = self.history.newest()?.frame.clone();
-        let band_bytes = self.width_px * TILE_HEIGHT_PX;
-        let region_width = TILE_WIDTH_PX * REGION_TILES;
-        let bands = frame
-            .bytes()
-            .chunks(band_bytes)
-            .zip(previous.bytes().chunks(band_bytes));
-        for (band, (current, before)) in bands.enumerate() {
-            let thresholds = self.noise.band_thresholds(band);
-            let any =
-                self.kernels
-                    .changed_tiles(current, before, self.width_px, thresholds, &mut self.tile_hits);
-            if any {
-                let tiles = self.tile_hits.iter().enumerate();
-                for (column, _) in tiles.filter(|(_, hit)| **hit) {
-                    changed.set(band, column);
-                }
-            }
-            if (band + self.counters.frames as usize).is_multiple_of(LEARN_EVERY_BANDS) {
-                let mut rows = current.chunks(self.width_px).zip(before.chunks(self.width_px));
-                if let Some((c, p)) = rows.next_back() {
-                    for (region, (c, p)) in c.chunks(region_width).zip(p.chunks(region_width)).enumerate() {
-                        let sum = self
-                            .kernels
-                            .clipped_change_sum(c, p, self.noise.clip(band, region));
-                        self.noise.learn(band, region, sum as f32 / c.len() as f32);
-                    }
-                }
+    /// A band of the frame and of the one before, read once: tiles that changed, and the noise of every region.
+    pub(super) fn scan_band(
+        &mut self,
+        band: usize,
+        (current, before): (&[u8], &[u8]),
+        changed: &mut TileMap,
+    ) {
+        let thresholds = self.noise.band_thresholds(band);
+        let any = self
+            .kernels
+            .changed_tiles(current, before, self.width_px, thresholds, &mut self.tile_hits);
+        if any {
+            let tiles = self.tile_hits.iter().enumerate();
+            for (column, _) in tiles.filter(|(_, hit)| **hit) {
+                changed.set(band, column);
             }
         }
-        Some(changed)
+        if !(band + self.counters.frames as usize).is_multiple_of(LEARN_EVERY_BANDS) {
+            return;
+        }
+        let region_width = TILE_WIDTH_PX * REGION_TILES;
+        let mut rows = current.chunks(self.width_px).zip(before.chunks(self.width_px));
+        if let Some((c, p)) = rows.next_back() {
+            for (region, (c, p)) in c.chunks(region_width).zip(p.chunks(region_width)).enumerate() {
+                let sum = self
+                    .kernels
+                    .clipped_change_sum(c, p, self.noise.clip(band, region));
+                self.noise.learn(band, region, sum as f32 / c.len() as f32);
+            }
+        }
     }
 
     /// Decides the next frame.

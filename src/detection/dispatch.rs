@@ -3,6 +3,7 @@
 
 use super::kernel::{self, WindowSums};
 use super::lanes::{Look, PixelLanes, Sums};
+use super::packing::{self, Packing};
 
 /// An instruction set the kernels are compiled for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -75,7 +76,7 @@ pub fn top_bits(flags: &[u8; 16]) -> u16 {
 }
 
 macro_rules! dispatched {
-    ($(#[$doc:meta])* $name:ident ( $($arg:ident : $type:ty),* ) $(-> $result:ty)?) => {
+    ($room:ident: $(#[$doc:meta])* $name:ident ( $($arg:ident : $type:ty),* ) $(-> $result:ty)?) => {
         impl Kernels {
             $(#[$doc])*
             #[allow(clippy::too_many_arguments, reason = "self only says which instruction set")]
@@ -85,11 +86,11 @@ macro_rules! dispatched {
                 {
                     #[target_feature(enable = "avx2,bmi2")]
                     fn avx2($($arg: $type),*) $(-> $result)? {
-                        kernel::$name($($arg),*)
+                        $room::$name($($arg),*)
                     }
                     #[target_feature(enable = "avx512f,avx512bw,avx512vl,avx2,bmi2")]
                     fn avx512($($arg: $type),*) $(-> $result)? {
-                        kernel::$name($($arg),*)
+                        $room::$name($($arg),*)
                     }
                     match self.isa {
                         Isa::Portable => {}
@@ -99,7 +100,7 @@ macro_rules! dispatched {
                         Isa::Avx512 => return unsafe { avx512($($arg),*) },
                     }
                 }
-                kernel::$name($($arg),*)
+                $room::$name($($arg),*)
             }
         }
     };
@@ -117,46 +118,62 @@ impl Kernels {
 }
 
 dispatched!(
+    kernel:
     /// See [`kernel::changed_tiles`].
     changed_tiles(current: &[u8], previous: &[u8], width: usize, thresholds: &[u8], hits: &mut [bool]) -> bool
 );
 dispatched!(
+    kernel:
     /// See [`kernel::clipped_change_sum`].
     clipped_change_sum(current: &[u8], previous: &[u8], clip: u8) -> u32
 );
 dispatched!(
+    kernel:
     /// See [`kernel::read_both`].
     read_both(one: &[u8], other: &[u8]) -> u8
 );
 dispatched!(
+    kernel:
     /// See [`kernel::change_mask`].
     change_mask(current: &[u8], before: &[u8], after: &[u8], threshold: u8) -> u64
 );
 dispatched!(
+    kernel:
     /// See [`kernel::range_of_rows`].
     range_of_rows(images: (&[u8], &[u8]), place: (usize, usize, usize), bright: &mut [u8], dark: &mut [u8]) -> bool
 );
 dispatched!(
+    kernel:
     /// See [`kernel::beyond`].
     beyond(current: &[u8], bright: &mut [u8], dark: &mut [u8], reach: usize, change: &mut [u8]) -> u8
 );
 dispatched!(
+    kernel:
     /// See [`kernel::tile_masks`].
     tile_masks(images: (&[u8], &[u8], &[u8]), place: (usize, usize, usize), threshold: u8, masks: &mut [u64]) -> bool
 );
 dispatched!(
+    kernel:
     /// See [`kernel::window_sums`].
     window_sums(images: (&[u8], &[u8], &[u8]), place: (usize, usize), rows: &[(usize, usize)], floor: u32) -> WindowSums
 );
 dispatched!(
+    kernel:
     /// See [`kernel::change_row`].
     change_row(current: &[u8], one: &[u8], other: &[u8], sizes: &mut [u8])
 );
 dispatched!(
+    kernel:
     /// See [`kernel::change_of_run`].
     change_of_run(images: (&[u8], &[u8], &[u8]), begin: usize, length: usize) -> (u32, u8)
 );
 dispatched!(
+    kernel:
     /// See [`kernel::linearise`].
     linearise(pixels: &PixelLanes, look: &Look<'_>) -> Sums
+);
+dispatched!(
+    packing:
+    /// See [`packing::unpack`].
+    unpack(packing: Packing, packed: &[u8], levels: &mut [u8])
 );

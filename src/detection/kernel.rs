@@ -142,11 +142,17 @@ fn tile_row_mask(
 ) -> u64 {
     let mut flags = [0u8; TILE_WIDTH_PX];
     for (((flag, c), a), b) in flags.iter_mut().zip(c).zip(a).zip(b) {
-        *flag = if change(*c, *a, *b) > threshold { u8::MAX } else { 0 };
+        *flag = if change(*c, *a, *b) > threshold {
+            u8::MAX
+        } else {
+            0
+        };
     }
     let (sixteens, _) = flags.as_chunks::<16>();
     let halves = sixteens.iter().rev();
-    halves.fold(0, |mask, flags| (mask << 16) | u64::from(dispatch::top_bits(flags)))
+    halves.fold(0, |mask, flags| {
+        (mask << 16) | u64::from(dispatch::top_bits(flags))
+    })
 }
 
 /// The low bits of eight bytes.
@@ -276,7 +282,8 @@ pub fn window_sums(
         let mut sizes = [0u8; WINDOW_MAX_PX];
         let columns = (*first, *length);
         let end = (first + length).min(WINDOW_MAX_PX);
-        let read = end <= NARROW_PX && row_in_window::<NARROW_PX>((current, one, other), from, columns, &mut sizes);
+        let read =
+            end <= NARROW_PX && row_in_window::<NARROW_PX>((current, one, other), from, columns, &mut sizes);
         if !read && !row_in_window::<WINDOW_MAX_PX>((current, one, other), from, columns, &mut sizes) {
             let piece = from + first..from + end;
             if let (Some(c), Some(a), Some(b), Some(sizes)) = (

@@ -23,6 +23,8 @@ mod history;
 mod kernel;
 mod lanes;
 mod movers;
+mod packed;
+mod packing;
 #[cfg(test)]
 pub(crate) mod painter;
 mod patches;
@@ -35,5 +37,7 @@ pub use config::{DetectorConfig, PixelRect};
 pub use detector::{Answers, Detector, DetectorCounters, ExpectedBall};
 pub use dispatch::{Isa, Kernels};
 pub use error::DetectionError;
+pub use packed::PackedFrame;
+pub use packing::Packing;
 pub use patches::PatchPool as CutOuts;
 pub use refine::{Refinement, Refiner};
