@@ -91,6 +91,63 @@ struct Contender<'a> {
     times_ms: Vec<f64>,
 }
 
+fn detector(lag_frames: usize, isa: Isa) -> Detector {
+    let config = DetectorConfig {
+        lag_frames,
+        ..DetectorConfig::default()
+    };
+    Detector::with_isa(config, WIDTH as u32, HEIGHT as u32, isa)
+}
+
+/// A detector that searches a ring.
+fn search<'a>(name: String, mut detector: Detector, ring: &'a [Arc<Vec<u8>>]) -> Contender<'a> {
+    Contender {
+        name,
+        run: Box::new(move |i| {
+            let mut found = Count(0);
+            detector.detect(&frame(i, &ring[i % RING]), &mut found).unwrap();
+            black_box(found.0);
+        }),
+        times_ms: Vec::new(),
+    }
+}
+
+/// OpenCV on a ring: contours, or components.
+fn opponent<'a>(name: String, components: bool, ring: &'a [Arc<Vec<u8>>]) -> Contender<'a> {
+    let mut baseline = DifferenceBaseline::new();
+    Contender {
+        name,
+        run: Box::new(move |i| {
+            let (c, p) = (&ring[i % RING], &ring[(i + RING - 1) % RING]);
+            if components {
+                black_box(baseline.components(c, p, WIDTH as i32, 20.0).unwrap());
+            } else {
+                black_box(baseline.contours(c, p, WIDTH as i32, 20.0).unwrap());
+            }
+        }),
+        times_ms: Vec::new(),
+    }
+}
+
+/// Several cameras on one thread, frame by frame in turn; the time is one frame's.
+fn cameras<'a>(count: usize, ring: &'a [Arc<Vec<u8>>]) -> Contender<'a> {
+    let mut detectors: Vec<Detector> = (0..count).map(|_| detector(1, Isa::detect())).collect();
+    Contender {
+        name: format!("detector, camera {count} of {count} on one thread"),
+        run: Box::new(move |i| {
+            // Each camera has frames of its own: the same ring, begun elsewhere.
+            let (camera, number) = (i % count, i / count);
+            let pixels = &ring[(number + camera * RING / count) % RING];
+            let mut found = Count(0);
+            detectors[camera]
+                .detect(&frame(number, pixels), &mut found)
+                .unwrap();
+            black_box(found.0);
+        }),
+        times_ms: Vec::new(),
+    }
+}
+
 fn main() {
     let crowds: Vec<(usize, Vec<Arc<Vec<u8>>>)> = [0, 1, 8, 50].map(|movers| (movers, ring(movers))).into();
     let kernels = Kernels::new(Isa::detect());
@@ -102,38 +159,26 @@ fn main() {
         }),
         times_ms: Vec::new(),
     }];
+    for isa in Isa::available() {
+        contenders.push(search(
+            format!("detector {isa:?}, quiet"),
+            detector(1, *isa),
+            quiet,
+        ));
+    }
     for (movers, ring) in &crowds {
-        for isa in Isa::available() {
-            if *movers != 0 && *isa != Isa::detect() {
-                continue;
-            }
-            let config = DetectorConfig {
-                lag_frames: 1,
-                ..DetectorConfig::default()
-            };
-            let mut detector = Detector::with_isa(config, WIDTH as u32, HEIGHT as u32, *isa);
-            contenders.push(Contender {
-                name: format!("detector {isa:?}, {movers} movers"),
-                run: Box::new(move |i| {
-                    let mut found = Count(0);
-                    detector.detect(&frame(i, &ring[i % RING]), &mut found).unwrap();
-                    black_box(found.0);
-                }),
-                times_ms: Vec::new(),
-            });
+        for lag in [1, DetectorConfig::default().lag_frames] {
+            let name = format!("detector, {movers} movers, lag {lag}");
+            contenders.push(search(name, detector(lag, Isa::detect()), ring));
         }
     }
+    contenders.extend([2, 4, 8].map(|count| cameras(count, quiet)));
     for (movers, ring) in crowds.iter().filter(|(movers, _)| matches!(movers, 0 | 8)) {
-        let mut baseline = DifferenceBaseline::new();
-        contenders.push(Contender {
-            name: format!("OpenCV absdiff+threshold+findContours, {movers} movers"),
-            run: Box::new(move |i| {
-                let (c, p) = (&ring[i % RING], &ring[(i + RING - 1) % RING]);
-                black_box(baseline.contours(c, p, WIDTH as i32, 20.0).unwrap());
-            }),
-            times_ms: Vec::new(),
-        });
+        let name = format!("OpenCV absdiff+threshold+findContours, {movers} movers");
+        contenders.push(opponent(name, false, ring));
     }
+    let name = "OpenCV absdiff+threshold+connectedComponentsWithStats";
+    contenders.push(opponent(name.into(), true, quiet));
     for round in 0..ROUNDS {
         for contender in &mut contenders {
             for i in 0..2 * RING {
@@ -148,11 +193,16 @@ fn main() {
         .map(|c| (c.name.clone(), median(&mut c.times_ms)))
         .collect();
     let limit = medians[0].1;
+    let quiet = medians
+        .iter()
+        .find(|m| m.0 == "detector, 0 movers, lag 1")
+        .map_or(limit, |m| m.1);
     println!(
-        "{:55} {:>9} {:>16}",
-        "median of one 2048x1024 frame", "ms", "share of limit"
+        "{:55} {:>9} {:>16} {:>15}",
+        "median of one 2048x1024 frame", "ms", "share of limit", "over quiet"
     );
     for (name, ms) in &medians {
-        println!("{name:55} {ms:9.3} {:15.0}%", 100.0 * limit / ms);
+        let (share, over) = (100.0 * limit / ms, ms / quiet);
+        println!("{name:55} {ms:9.3} {share:15.0}% {over:14.2}x");
     }
 }
