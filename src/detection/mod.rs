@@ -9,6 +9,8 @@
 //! before and after the frame in question, so a ball is free of its own ghosts and the answer comes
 //! `lag_frames` late. Thresholds follow the noise of each region ([`regions`]).
 
+#[cfg(test)]
+mod adaptation_tests;
 mod background;
 mod blobs;
 mod candidates;
