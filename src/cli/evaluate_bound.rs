@@ -35,6 +35,9 @@ pub struct BoundArgs {
 /// # Errors
 /// A scenario that cannot be read or simulated, a scene without a bound, a CSV that cannot be written.
 pub fn run(args: &BoundArgs) -> anyhow::Result<()> {
+    if args.seeds == 0 && (args.csv.is_some() || args.plot.is_some()) {
+        anyhow::bail!("--csv and --plot hold the errors of a study: say --seeds N with them");
+    }
     let scenario = Scenario::from_path(&args.scenario)?;
     let (_, bound) = scene_bound(&scenario)?;
     for (camera, spec) in bound.cameras.iter().zip(&scenario.cameras) {

@@ -112,7 +112,7 @@ pub(super) fn nothing(rig: &Rig) -> InitialEstimate {
     }
 }
 
-/// Draws of the noise: their mean errors fill a cell.
+/// Draws of the noise, each with frames at another phase of the flight: their mean errors fill a cell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Draws {
     /// Seed of the first; the others count on.
@@ -133,10 +133,12 @@ pub fn run(
     draws: Draws,
 ) -> Result<Cell, CalibrationError> {
     let both = [TrajectoryModel::Quadratic, TrajectoryModel::PAPER];
-    let mut cell = draw((rig, &both), delays_frames, noise, draws.first_seed)?;
+    let mut cell = draw((rig, &both), delays_frames, noise, (draws.first_seed, 0.0))?;
     let mut all = vec![cell.errors.clone()];
     for k in 1..draws.count {
-        let next = draw((rig, &both[1..]), delays_frames, noise, draws.first_seed + k)?;
+        let phase_frames = k as f64 / draws.count as f64;
+        let drawn = (draws.first_seed + k, phase_frames);
+        let next = draw((rig, &both[1..]), delays_frames, noise, drawn)?;
         cell.joint_refusal = cell.joint_refusal.or(next.joint_refusal);
         all.push(next.errors);
     }
@@ -161,9 +163,9 @@ fn draw(
     (rig, models): (&Rig, &[TrajectoryModel]),
     delays_frames: [f64; 2],
     noise: &NoisePreset,
-    seed: u64,
+    drawn: (u64, f64),
 ) -> Result<Cell, CalibrationError> {
-    let pitches = space::pitches(rig, &[0.0, delays_frames[0], delays_frames[1]], noise, seed);
+    let pitches = space::pitches(rig, &[0.0, delays_frames[0], delays_frames[1]], noise, drawn);
     let f1_left_out = if models.contains(&TrajectoryModel::Quadratic) {
         0
     } else {

@@ -193,7 +193,7 @@ fn table_1(rig: &Rig, preset: &NoisePreset, seed: u64) -> Vec<(f64, f64)> {
     printed::TABLE_1
         .iter()
         .map(|(difference, _)| {
-            let pitches = space::pitches(rig, &[0.0, *difference, 0.0], preset, seed);
+            let pitches = space::pitches(rig, &[0.0, *difference, 0.0], preset, (seed, 0.0));
             let mut errors_m: Vec<f64> = Vec::new();
             for (k, pitch) in pitches.iter().enumerate() {
                 errors_m.extend((0..108).filter_map(|frame| uncorrected_m(rig, &poses, (k, pitch), frame)));
@@ -226,7 +226,7 @@ fn uncorrected_m(
 
 /// Mean distance of noise-free points to the models.
 fn misfit(rig: &Rig, preset: &NoisePreset) -> [f64; 3] {
-    let pitches = space::pitches(rig, &[0.0; 3], preset, 1);
+    let pitches = space::pitches(rig, &[0.0; 3], preset, (1, 0.0));
     let models = [
         TrajectoryModel::Quadratic,
         TrajectoryModel::PAPER,

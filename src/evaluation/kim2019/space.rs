@@ -175,8 +175,14 @@ pub fn start_s(pitch: usize) -> f64 {
     PAUSE_S * pitch as f64
 }
 
-/// What every camera detects: camera i stamped t sees T(t − τ_i) [Kim19 eq. 2, 3], with noise. Delays in frames.
-pub fn pitches(rig: &Rig, delays_frames: &[f64; 3], noise: &NoisePreset, seed: u64) -> Vec<PitchTracks> {
+/// What every camera detects: camera i stamped t sees T(t − τ_i) [Kim19 eq. 2, 3], with noise. Delays in frames. The
+/// first frame is stamped `phase_frames` (0 in the paper) after the release: with another phase, rounding is another too.
+pub fn pitches(
+    rig: &Rig,
+    delays_frames: &[f64; 3],
+    noise: &NoisePreset,
+    (seed, phase_frames): (u64, f64),
+) -> Vec<PitchTracks> {
     let mut rng = Pcg64Mcg::seed_from_u64(seed);
     let gauss = Normal::new(0.0, 1.0).expect("a standard normal is always valid");
     let frames = (END_S * RATE_HZ).floor() as u64;
@@ -187,7 +193,7 @@ pub fn pitches(rig: &Rig, delays_frames: &[f64; 3], noise: &NoisePreset, seed: u
         for ((camera, pose), delay_frames) in rig.cameras.iter().zip(&poses).zip(delays_frames) {
             let mut points = Vec::new();
             for frame in 0..=frames {
-                let t_s = frame as f64 / RATE_HZ;
+                let t_s = (frame as f64 + phase_frames) / RATE_HZ;
                 // Drawn in any case, so that one preset's numbers are another's, scaled.
                 let draws: [f64; 3] = std::array::from_fn(|_| gauss.sample(&mut rng));
                 let captured_s = t_s - (delay_frames - noise.capture_sigma_frames * draws[0]) / RATE_HZ;
@@ -236,7 +242,7 @@ mod tests {
         assert!((first.at(0.0) - Point3::new(-0.75, 16.9, 1.60)).norm() < 1e-12);
         assert!((first.at(0.10) - Point3::new(-0.56, 14.045, 1.65)).norm() < 1e-12);
         assert!((first.at(END_S) - Point3::new(0.35, 0.40, 0.45)).norm() < 1e-12);
-        let seen = pitches(&rig, &[0.0, -2.0, 2.0], &presets(0.05)[0], 1);
+        let seen = pitches(&rig, &[0.0, -2.0, 2.0], &presets(0.05)[0], (1, 0.0));
         let mut count = 0;
         for point in seen.iter().flat_map(|p| &p.tracks).flat_map(|t| &t.points) {
             assert!((0.0..1280.0).contains(&point.pixel.x) && (0.0..720.0).contains(&point.pixel.y));
