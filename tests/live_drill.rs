@@ -9,9 +9,9 @@ mod lab;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
-use lab::{Lab, Reaped};
+use lab::{Lab, Reaped, unix_s};
 use pitchd::export::results::read_pitches;
 use pitchd::recording::SessionReader;
 use pitchd::scene::CameraId;
@@ -124,11 +124,6 @@ fn session(folder: &Path) -> Vec<Thrown> {
     thrown.collect()
 }
 
-fn unix_s() -> f64 {
-    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
-    now.unwrap().as_secs_f64()
-}
-
 struct Drill {
     lab: Lab,
     folder: PathBuf,
@@ -177,19 +172,6 @@ fn say(emulator: &mut Reaped, line: &str) {
 fn signal(child: &Reaped, name: &str) {
     let id = child.0.id().to_string();
     assert!(Command::new("kill").args([name, &id]).status().unwrap().success());
-}
-
-fn daemon(lab: &Lab, folder: &Path, (out, log): (&Path, &Path)) -> Reaped {
-    let config = folder.join("pitchd.toml");
-    let arguments = [
-        "-v",
-        "run",
-        "--status-every",
-        "0.2",
-        "--config",
-        config.to_str().unwrap(),
-    ];
-    Reaped(Lab::start((&lab.host(), None), &arguments, out, log))
 }
 
 /// A disk of three megabytes; where this machine does not allow that, a file where the folder should be.
@@ -323,7 +305,9 @@ impl Drill {
         self.daemon.0.wait().unwrap();
         let killed_s = unix_s();
         self.log = self.folder.join("log2");
-        self.daemon = daemon(&self.lab, &self.folder, (&self.folder.join("out2"), &self.log));
+        self.daemon = self
+            .lab
+            .daemon(&self.folder, (&self.folder.join("out2"), &self.log));
         self.wait(0, &["going on with the last calibration"]);
         self.wait(0, &["first Streaming", "third Streaming", "far Streaming"]);
         (killed_s, unix_s())
@@ -358,7 +342,7 @@ fn pitches_go_on_through_every_fault() {
     assert!(Command::new("mkfifo").arg(&out).status().unwrap().success());
     let reader = Command::new("cat").arg(&out).stdout(Stdio::null()).spawn();
     let reader = Reaped(reader.unwrap());
-    let daemon = daemon(&lab, folder, (&out, &log));
+    let daemon = lab.daemon(folder, (&out, &log));
     let mut drill = Drill {
         lab,
         folder: folder.to_owned(),

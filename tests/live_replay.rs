@@ -6,9 +6,9 @@ mod lab;
 
 use std::path::Path;
 use std::process::Command;
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
-use lab::{Lab, Reaped};
+use lab::{Lab, Reaped, unix_s};
 use pitchd::export::results::read_pitches;
 use pitchd::recording::{
     CameraGeometry, RecordedFrame, SessionOptions, SessionReader, SessionWriter, read_track_folder,
@@ -105,11 +105,7 @@ fn live(lab: &Lab, path: &Path, folder: &Path) -> String {
         );
     }
     std::fs::write(folder.join("pitchd.toml"), config).unwrap();
-    let unix_s = SystemTime::now()
-        .duration_since(SystemTime::UNIX_EPOCH)
-        .unwrap()
-        .as_secs_f64();
-    let begin = format!("{:.3}", unix_s + 4.5);
+    let begin = format!("{:.3}", unix_s() + 4.5);
     let _emulators: Vec<Reaped> = CAMERAS
         .iter()
         .enumerate()
@@ -132,21 +128,7 @@ fn live(lab: &Lab, path: &Path, folder: &Path) -> String {
         })
         .collect();
     let log = folder.join("log");
-    let config = folder.join("pitchd.toml");
-    let arguments = [
-        "-v",
-        "run",
-        "--status-every",
-        "0.2",
-        "--config",
-        config.to_str().unwrap(),
-    ];
-    let mut daemon = Reaped(Lab::start(
-        (&lab.host(), None),
-        &arguments,
-        &folder.join("out"),
-        &log,
-    ));
+    let mut daemon = lab.daemon(folder, (&folder.join("out"), &log));
     let published = folder.join("live/pitches.jsonl");
     let until = Instant::now() + Duration::from_secs(60);
     while std::fs::read_to_string(&published)

@@ -2,6 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::resection::LANDMARKS_NEEDED;
 use crate::scene::{Calibration, CameraSetup, Landmark, PitchQuality, Rig, WorldFrame};
 
 /// A click farther than this from where the calibration has its landmark tells of a mistake, in its own sigmas.
@@ -61,7 +62,7 @@ fn landmarks_on_a_line(rig: &Rig, calibration: &Calibration) -> Option<(PitchQua
         .map(|l| l.position.world_m.coords)
         .collect();
     // Fewer make no world: positions of the cameras made this one.
-    if clicked.len() < 4 {
+    if clicked.len() < LANDMARKS_NEEDED {
         return None;
     }
     let (off_m, along_m) = off_and_along_a_line(&clicked);

@@ -10,7 +10,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
 use crate::capture::aravis::granted_socket_buffer;
-use crate::config::{DaemonConfig, RecordConfig, RecordMode, load_daemon, load_rig};
+use crate::config::{DaemonConfig, RecordMode, load_daemon, load_rig};
 use crate::daemon::health::CameraState;
 use crate::daemon::pipeline::{self, Daemon};
 use crate::export::results::read_calibration;
@@ -150,9 +150,9 @@ impl Watchdog {
     }
 
     fn feed(&mut self, daemon: &Daemon) {
-        let Some(every) = self.every.filter(|every| self.fed.elapsed() >= *every) else {
+        if self.every.is_none_or(|every| self.fed.elapsed() < every) {
             return;
-        };
+        }
         let now: Vec<u64> = daemon
             .health()
             .iter()
@@ -173,7 +173,7 @@ impl Watchdog {
                 .count();
             let status = format!("{streaming} of {} cameras streaming", daemon.health().len());
             notify(&[NotifyState::Watchdog, NotifyState::Status(&status)]);
-        } else if self.fed.elapsed() >= every {
+        } else {
             tracing::warn!("a streaming camera's frames are not processed: the watchdog is not fed");
         }
     }
@@ -202,19 +202,7 @@ fn reload(path: &Path, running: &mut DaemonConfig, daemon: &Daemon) {
     if !now.is_empty() {
         daemon.reload(&new, calibration);
         tracing::info!("reload: in use at once: {}", now.join(", "));
-        *running = DaemonConfig {
-            calibration: new.calibration,
-            first_pitches: new.first_pitches,
-            window_pitches: new.window_pitches,
-            recalibrate_every: new.recalibrate_every,
-            record: RecordConfig {
-                quota_bytes: new.record.quota_bytes,
-                before_s: new.record.before_s,
-                after_s: new.record.after_s,
-                ..running.record.clone()
-            },
-            ..running.clone()
-        };
+        running.take_what_holds_at_once(&new);
     }
     if !later.is_empty() {
         tracing::warn!("reload: these hold after a restart: {}", later.join(", "));

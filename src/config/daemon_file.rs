@@ -135,6 +135,17 @@ impl DaemonConfig {
         .filter_map(|(key, differs)| differs.then_some(key))
         .collect()
     }
+
+    /// Takes from `new` what [`Self::holds_at_once`] names; the rest stays.
+    pub fn take_what_holds_at_once(&mut self, new: &Self) {
+        self.calibration.clone_from(&new.calibration);
+        self.first_pitches = new.first_pitches;
+        self.window_pitches = new.window_pitches;
+        self.recalibrate_every = new.recalibrate_every;
+        self.record.quota_bytes = new.record.quota_bytes;
+        self.record.before_s = new.record.before_s;
+        self.record.after_s = new.record.after_s;
+    }
 }
 
 #[derive(Deserialize)]
@@ -359,6 +370,10 @@ mod tests {
         );
         assert_eq!(new.needs_restart(&old), ["record.memory_mib"]);
         assert!(old.needs_restart(&old).is_empty() && old.holds_at_once(&old).is_empty());
+        let mut running = old.clone();
+        running.take_what_holds_at_once(&new);
+        assert!(new.holds_at_once(&running).is_empty());
+        assert_eq!(new.needs_restart(&running), ["record.memory_mib"]);
     }
 
     #[test]

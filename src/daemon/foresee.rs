@@ -11,7 +11,7 @@ use super::assemble::Epochs;
 use super::publish::{PublishHealth, in_flight_line};
 use crate::flight::{FlightOptions, look_ahead};
 use crate::scene::{Calibration, CameraId, Outlook, Rig, Track, WorldFrame};
-use crate::time::{ArrivalTime, HostClock, SystemClock, TrueMidpoint};
+use crate::time::{ArrivalTime, TrueMidpoint};
 use crate::tracking::{OpenPath, TrackerConfig};
 
 /// What one camera's eye has of balls in flight.
@@ -155,14 +155,9 @@ impl Foresee {
         if self.lines.try_send(line).is_err() {
             self.health.lines_dropped.fetch_add(1, Ordering::Relaxed);
         }
-        let now_ns = SystemClock.monotonic().nanos();
         self.health.estimates.fetch_add(1, Ordering::Relaxed);
-        self.health
-            .estimate_age
-            .add_s(1e-9 * now_ns.saturating_sub(outlook.time_ns) as f64);
-        self.health
-            .estimate_latency
-            .add_s(1e-9 * now_ns.saturating_sub(newest_ns) as f64);
+        self.health.estimate_age.add_since_ns(outlook.time_ns);
+        self.health.estimate_latency.add_since_ns(newest_ns);
     }
 }
 

@@ -1,6 +1,8 @@
-//! A latency histogram that one thread fills and anyone reads: buckets of a twelfth of a factor of ten.
+//! A latency histogram that one thread fills and anyone reads: twenty-four buckets to a factor of ten.
 
 use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::time::{HostClock, SystemClock};
 
 /// Upper edge of the first bucket, seconds.
 const FIRST_S: f64 = 10e-6;
@@ -23,6 +25,11 @@ impl Default for Histogram {
     }
 }
 
+/// Seconds from an instant of the host's monotonic clock to now.
+pub fn seconds_since(at_ns: i64) -> f64 {
+    1e-9 * SystemClock.monotonic().nanos().saturating_sub(at_ns) as f64
+}
+
 impl Histogram {
     /// Counts one duration.
     pub fn add_s(&self, duration_s: f64) {
@@ -30,6 +37,11 @@ impl Histogram {
         if let Some(bucket) = self.buckets.get((place as usize).min(BUCKETS - 1)) {
             bucket.fetch_add(1, Ordering::Relaxed);
         }
+    }
+
+    /// Counts the time from an instant of the host's clock to now.
+    pub fn add_since_ns(&self, at_ns: i64) {
+        self.add_s(seconds_since(at_ns));
     }
 
     /// How many were counted.

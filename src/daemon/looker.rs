@@ -9,7 +9,7 @@ use crossbeam_channel::{Receiver, Sender};
 use super::health::CameraHealth;
 use crate::eye::{BallStep, EndedBall, EyeConfig, SecondLook};
 use crate::scene::Track;
-use crate::time::{ArrivalTime, HostClock, StampedMidpoint, SystemClock};
+use crate::time::{ArrivalTime, StampedMidpoint};
 
 /// A track as it leaves its camera.
 #[derive(Debug, Clone)]
@@ -92,10 +92,6 @@ pub fn look(
                 tracing::error!(camera = %health.camera, "a track found nobody to take it");
             }
         }
-        let late_ns = SystemClock
-            .monotonic()
-            .nanos()
-            .saturating_sub(ball.complete.nanos());
-        health.second_look.add_s(1e-9 * late_ns as f64);
+        health.second_look.add_since_ns(ball.complete.nanos());
     }
 }

@@ -9,11 +9,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use crossbeam_channel::{Receiver, Sender, TrySendError};
 
 use super::assemble::Published;
-use super::histogram::Histogram;
+use super::histogram::{Histogram, seconds_since};
 use crate::export::results;
 use crate::recording::{append_track, read_track_file};
 use crate::scene::{Calibration, CameraId, Outlook, Track};
-use crate::time::{HostClock, SystemClock};
 
 /// What was published and how late, for anyone to read.
 #[derive(Debug, Default)]
@@ -148,12 +147,11 @@ impl Keeper {
         if let Err(TrySendError::Full(_)) = lines.try_send(line.clone()) {
             health.lines_dropped.fetch_add(1, Ordering::Relaxed);
         }
-        let now_ns = SystemClock.monotonic().nanos();
-        let since_s = |at_ns: i64| 1e-9 * now_ns.saturating_sub(at_ns) as f64;
-        let needed_s = published.complete.map(|at| since_s(at.nanos()));
-        let exposed_s = published.exposed.map(|at| since_s(at.nanos()));
+        let needed_s = published.complete.map(|at| seconds_since(at.nanos()));
         needed_s.iter().for_each(|s| health.since_needed.add_s(*s));
-        exposed_s.iter().for_each(|s| health.since_exposure.add_s(*s));
+        if let Some(exposed) = published.exposed {
+            health.since_exposure.add_since_ns(exposed.nanos());
+        }
         health.pitches.fetch_add(1, Ordering::Relaxed);
         tracing::info!(
             pitch = published.pitch.pitch,

@@ -41,6 +41,17 @@ fn live(camera: &str, k: i64) -> RecordedLive {
     }
 }
 
+/// The disk's thread of a session that has neither rig nor calibration.
+fn disk_thread_of(config: RecordConfig, health: &Arc<RecorderHealth>) -> ClipDisk {
+    ClipDisk {
+        configs: crossbeam_channel::never(),
+        config,
+        rig_toml: String::new(),
+        calibration: "none".into(),
+        health: health.clone(),
+    }
+}
+
 /// Runs recorder and disk over `count` frames (100 Hz) of two cameras; a ball flies in 1.0–1.4 s.
 fn record(config: RecordConfig, count: i64) -> Arc<RecorderHealth> {
     let health = Arc::new(RecorderHealth::default());
@@ -61,13 +72,7 @@ fn record(config: RecordConfig, count: i64) -> Arc<RecorderHealth> {
     triggers_in.send(ball).unwrap();
     drop((frames_in, triggers_in));
     let most = std::thread::scope(|scope| {
-        let disk_thread = ClipDisk {
-            configs: crossbeam_channel::never(),
-            config,
-            rig_toml: String::new(),
-            calibration: "none".into(),
-            health: health.clone(),
-        };
+        let disk_thread = disk_thread_of(config, &health);
         scope.spawn(move || disk_thread.run(&disk));
         recorder.run(&frames, &triggers, &crossbeam_channel::never());
         health.held_bytes.load(Ordering::Relaxed)
@@ -105,13 +110,7 @@ fn a_clip_has_every_frame_from_before_release_to_after_the_plate() {
         last_ns: 1_400_000_000,
     });
     drop(recorder);
-    let disk_thread = ClipDisk {
-        configs: crossbeam_channel::never(),
-        config,
-        rig_toml: String::new(),
-        calibration: "none".into(),
-        health: health.clone(),
-    };
+    let disk_thread = disk_thread_of(config, &health);
     disk_thread.run(&disk);
     let found = sessions(folder.path());
     assert_eq!(found.len(), 1);
@@ -179,13 +178,7 @@ fn the_quota_removes_the_oldest_and_no_stranger() {
         );
         disk_in.send(DiskJob::Clip(vec![Arc::new(held)])).unwrap();
         drop(disk_in);
-        let disk_thread = ClipDisk {
-            configs: crossbeam_channel::never(),
-            config: small.clone(),
-            rig_toml: String::new(),
-            calibration: "none".into(),
-            health: health.clone(),
-        };
+        let disk_thread = disk_thread_of(small.clone(), &health);
         disk_thread.run(&disk);
         assert_eq!(health.clips.load(Ordering::Relaxed), 1);
         std::thread::sleep(Duration::from_millis(5));

@@ -13,7 +13,7 @@ use super::health::CameraHealth;
 use super::looker::{BallToLookAt, ToLook};
 use crate::capture::aravis::LiveFrame;
 use crate::eye::{BallStep, EndedBall, EyeConfig, FirstLook};
-use crate::time::{ArrivalTime, ClockLine, HostClock, StampedMidpoint, SystemClock};
+use crate::time::{ArrivalTime, ClockLine, StampedMidpoint};
 
 /// Where an eye's thread sends what it finds.
 pub struct EyeChannels {
@@ -108,11 +108,7 @@ impl Watcher<'_> {
                 self.health.refused.fetch_add(1, Ordering::Relaxed)
             }
         };
-        let late_ns = SystemClock
-            .monotonic()
-            .nanos()
-            .saturating_sub(self.last_arrival.nanos());
-        self.health.latency.add_s(1e-9 * late_ns as f64);
+        self.health.latency.add_since_ns(self.last_arrival.nanos());
         self.tell_of_flights();
         self.hand_on();
         self.tell_how_far();

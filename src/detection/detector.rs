@@ -226,14 +226,23 @@ impl Detector {
         if fits {
             return Ok(());
         }
-        Err(DetectionError::FrameSize {
-            frame: frame.stamp.frame,
-            width_px: frame.width_px,
-            height_px: frame.height_px,
+        Err(self.wrong_size(frame.stamp, (frame.width_px, frame.height_px), bytes))
+    }
+
+    pub(super) fn wrong_size(
+        &self,
+        stamp: FrameStamp,
+        (width_px, height_px): (u32, u32),
+        bytes: usize,
+    ) -> DetectionError {
+        DetectionError::FrameSize {
+            frame: stamp.frame,
+            width_px,
+            height_px,
             bytes,
             expected_width_px: self.width_px as u32,
             expected_height_px: self.height_px as u32,
-        })
+        }
     }
 
     /// A band of the frame and of the one before, read once: tiles that changed, and the noise of every region.

@@ -56,14 +56,8 @@ impl Detector {
         let pixels = self.width_px * self.height_px;
         let fits = frame.width_px as usize == self.width_px && frame.height_px as usize == self.height_px;
         if !fits || pixels == 0 || frame.bytes.len() < frame.packing.bytes(pixels) {
-            return Err(DetectionError::FrameSize {
-                frame: frame.stamp.frame,
-                width_px: frame.width_px,
-                height_px: frame.height_px,
-                bytes: frame.bytes.len(),
-                expected_width_px: self.width_px as u32,
-                expected_height_px: self.height_px as u32,
-            });
+            let size_px = (frame.width_px, frame.height_px);
+            return Err(self.wrong_size(frame.stamp, size_px, frame.bytes.len()));
         }
         self.begin(frame.stamp, answers);
         let mut changed = self.history.spare_map(self.width_px, self.height_px);

@@ -1,5 +1,7 @@
 //! A solved flight: path, covariance, and what became of every point.
 
+use std::collections::BTreeSet;
+
 use nalgebra::DMatrix;
 
 use super::equations::{Loss, Sighting};
@@ -44,6 +46,13 @@ pub struct SolvedFlight {
 }
 
 impl SolvedFlight {
+    /// Cameras with points on the flight, each once, by name.
+    pub fn cameras(&self) -> Vec<CameraId> {
+        let kept = self.tracks.iter().filter(|t| t.kept > 0);
+        let ids: BTreeSet<CameraId> = kept.map(|t| t.camera.clone()).collect();
+        ids.into_iter().collect()
+    }
+
     /// Points kept over all cameras.
     pub fn kept(&self) -> usize {
         self.tracks.iter().map(|t| t.kept).sum()

@@ -6,7 +6,7 @@
 use super::numbers::{NumbersError, PLATE_FRONT_Y_M, position_sigma_m, state_at_plane};
 use super::solve::{FlightOptions, solve_flight};
 use super::{FlightError, SolvedFlight};
-use crate::scene::{Calibration, CameraId, Outlook, Track};
+use crate::scene::{Calibration, Outlook, Track};
 use crate::time::TrueMidpoint;
 
 /// Points this far off the common flight (rms, pixels) are not of one ball.
@@ -63,7 +63,7 @@ pub fn look_ahead(
     }
     let true_ns = |t: f64| TrueMidpoint::from_seconds_since(path.epoch_ns(), t).nanos();
     Ok(Outlook {
-        cameras: seen_by(&solved),
+        cameras: solved.cameras(),
         points: solved.kept(),
         time_ns: true_ns(now_s),
         position_m: position.into(),
@@ -77,19 +77,12 @@ pub fn look_ahead(
     })
 }
 
-fn seen_by(solved: &SolvedFlight) -> Vec<CameraId> {
-    let mut cameras: Vec<_> = solved.tracks.iter().filter(|t| t.kept > 0).collect();
-    cameras.sort_by(|a, b| a.camera.cmp(&b.camera));
-    cameras.dedup_by(|a, b| a.camera == b.camera);
-    cameras.into_iter().map(|t| t.camera.clone()).collect()
-}
-
 /// Whether the tracks are of one ball, and that ball is pitched.
 fn plausible(solved: &SolvedFlight, plate_x_m: f64, plate_z_m: f64) -> Result<(), OutlookError> {
     let refused = |why| Err(OutlookError::NoPitch(why));
     let kept = solved.kept() as f64;
     let all = kept + solved.outliers() as f64;
-    if seen_by(solved).len() < 2 || solved.tracks.iter().any(|t| t.kept < t.outliers) {
+    if solved.cameras().len() < 2 || solved.tracks.iter().any(|t| t.kept < t.outliers) {
         return refused("the tracks are not of one ball");
     }
     if solved.rms_px() > ONE_BALL_PX || kept < KEPT_MIN * all {
@@ -110,7 +103,7 @@ mod tests {
     use super::*;
     use crate::flight::sighting::CameraModel;
     use crate::flight::synthetic::{Spoil, observe, seeded, three_cameras, throw};
-    use crate::scene::{CalibrationMethod, CameraCalibration, WorldFrame};
+    use crate::scene::CameraCalibration;
 
     const RELEASE_NS: i64 = 1_000_000_000;
 
@@ -131,20 +124,7 @@ mod tests {
             noise_sigma_px: 0.3,
             jitter_sigma_s: 0.0,
         };
-        Calibration {
-            version: 1,
-            method: CalibrationMethod::Joint,
-            reference: cameras[0].id.clone(),
-            world: WorldFrame::HomePlate,
-            cameras: cameras.iter().map(one).collect(),
-            parameters: Vec::new(),
-            covariance: Vec::new(),
-            condition: 1.0,
-            variance_factor: 1.0,
-            pitches_used: Vec::new(),
-            warnings: Vec::new(),
-            cost_trace: Vec::new(),
-        }
+        Calibration::without_covariance(cameras.iter().map(one).collect())
     }
 
     /// Points until `before_s` before the plate: the outlook's miss at the plate over its sigma, and in metres.

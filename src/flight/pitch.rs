@@ -83,11 +83,7 @@ pub fn pitch_from_flight(
     let drag_sigma = covariance[(DRAG_ROW, DRAG_ROW)].max(0.0).sqrt();
     let mut made = Pitch {
         pitch,
-        cameras: points
-            .iter()
-            .filter(|(_, n)| **n > 0)
-            .map(|(c, _)| c.clone())
-            .collect(),
+        cameras: flight.cameras(),
         release_time_ns: true_ns(release.time_s),
         plate_time_ns: true_ns(front.time_s),
         release_m: release.position_m.into(),

@@ -276,7 +276,7 @@ fn pose_at([x, y, z]: [f64; 3]) -> Pose {
 mod tests {
     use super::*;
     use crate::geometry::{Intrinsics, Pixel, Pose as CameraPose};
-    use crate::scene::{CalibrationMethod, CameraId, TrackPoint, WorldFrame};
+    use crate::scene::{CameraId, TrackPoint};
     use crate::time::StampedMidpoint;
     use nalgebra::{Rotation3, Vector3 as V};
     use std::collections::BTreeMap;
@@ -331,20 +331,7 @@ mod tests {
     fn a_viewer_gets_points_poses_and_lenses_at_their_times() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("results.mcap");
-        let calibration = Calibration {
-            version: 1,
-            method: CalibrationMethod::Joint,
-            reference: camera().id,
-            world: WorldFrame::HomePlate,
-            cameras: vec![camera()],
-            parameters: Vec::new(),
-            covariance: Vec::new(),
-            condition: 1.0,
-            variance_factor: 1.0,
-            pitches_used: Vec::new(),
-            warnings: Vec::new(),
-            cost_trace: Vec::new(),
-        };
+        let calibration = Calibration::without_covariance(vec![camera()]);
         let points = vec![TrackPoint {
             frame: 7,
             stamped: StampedMidpoint::from_nanos(2_000_000_500),

@@ -159,6 +159,25 @@ pub struct Calibration {
 }
 
 impl Calibration {
+    /// In the home-plate frame, the first camera the reference, without covariance: for tests.
+    #[cfg(test)]
+    pub fn without_covariance(cameras: Vec<CameraCalibration>) -> Self {
+        Self {
+            version: 1,
+            method: CalibrationMethod::Joint,
+            reference: cameras[0].id.clone(),
+            world: WorldFrame::HomePlate,
+            cameras,
+            parameters: Vec::new(),
+            covariance: Vec::new(),
+            condition: 1.0,
+            variance_factor: 1.0,
+            pitches_used: Vec::new(),
+            warnings: Vec::new(),
+            cost_trace: Vec::new(),
+        }
+    }
+
     /// The calibration of one camera.
     pub fn camera(&self, id: &CameraId) -> Option<&CameraCalibration> {
         self.cameras.iter().find(|c| c.id == *id)

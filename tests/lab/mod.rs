@@ -5,11 +5,18 @@
 
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
+use std::time::SystemTime;
 
 /// Namespaces `<name>h` (daemon) and `<name>0`, `<name>1`, … (cameras), addresses 10.93.<camera>.1 and .2.
 pub struct Lab {
     name: String,
     cameras: usize,
+}
+
+/// Now, seconds of Unix time.
+pub fn unix_s() -> f64 {
+    let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+    now.unwrap().as_secs_f64()
 }
 
 fn ip(arguments: &str) -> Result<(), String> {
@@ -73,6 +80,15 @@ impl Lab {
     /// `ip` in a camera's namespace.
     pub fn on_camera(&self, k: usize, arguments: &str) {
         ip(&format!("-n {} {arguments}", self.camera(k))).unwrap();
+    }
+
+    /// Starts `pitchd run` with `pitchd.toml` of this folder in the daemon's namespace; it tells of its cameras five times
+    /// a second.
+    pub fn daemon(&self, folder: &Path, (out, log): (&Path, &Path)) -> Reaped {
+        let config = folder.join("pitchd.toml");
+        let status = ["-v", "run", "--status-every", "0.2", "--config"];
+        let arguments = [status.as_slice(), &[config.to_str().unwrap()]].concat();
+        Reaped(Self::start((&self.host(), None), &arguments, out, log))
     }
 
     /// Starts the program under test in a namespace; both outputs go to files, standard input stays open. With a

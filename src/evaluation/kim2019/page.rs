@@ -37,7 +37,7 @@ pub(super) fn html(study: &Study) -> String {
         "<!doctype html><html lang=\"en\"><head><meta charset=\"utf-8\"><title>Kim et al. 2019, reproduced</title>\
          <style>{STYLE}</style></head><body><h1>Kim et al. 2019, reproduced</h1>\
          <p>IEEE Access 7, doi 10.1109/ACCESS.2019.2953340. Made by <code>pitchd evaluate kim2019</code>; seed {}, \
-         σ_c = {} frame, {} delays per axis, cells of noisy presets the mean of {} draw(s), {} trial(s) per delay of the two-camera protocol with {} px and {} frame of \
+         σ_c = {} frame, {} delays per axis, cells of noisy presets the mean of {} draw(s) (of F1: the first), {} trial(s) per delay of the two-camera protocol with {} px and {} frame of \
          stamp jitter.</p><h2>In short</h2><ul>",
         study.options.seed,
         study.options.capture_sigma_frames,
