@@ -12,7 +12,7 @@ use signal_hook::iterator::Signals;
 use crate::capture::aravis::granted_socket_buffer;
 use crate::config::{DaemonConfig, RecordMode, load_daemon, load_rig};
 use crate::daemon::health::CameraState;
-use crate::daemon::pipeline::{self, Daemon};
+use crate::daemon::pipeline::{self, Daemon, NotTaken};
 use crate::export::results::read_calibration;
 use crate::scene::{Calibration, WorldFrame};
 
@@ -94,11 +94,13 @@ fn warn_of_small_buffers(config: &DaemonConfig) {
 fn supervise(args: &RunArgs, config: &mut DaemonConfig, daemon: &Daemon, signals: &mut Signals) {
     let begun = Instant::now();
     let mut told = begun;
-    let mut watchdog = Watchdog::new(daemon);
+    let mut watchdog = Watchdog::new();
     loop {
         for signal in signals.pending() {
             match signal {
-                SIGHUP => reload(&args.config, config, daemon),
+                SIGHUP => reload(&args.config, config, |new, calibration| {
+                    daemon.reload(new, calibration)
+                }),
                 _ => return,
             }
         }
@@ -137,50 +139,97 @@ const FLIGHT_MOST: Duration = Duration::from_millis(1200);
 struct Watchdog {
     every: Option<Duration>,
     fed: Instant,
-    processed: Vec<u64>,
+    progress: Progress,
 }
 
 impl Watchdog {
-    fn new(daemon: &Daemon) -> Self {
+    fn new() -> Self {
         Self {
             every: sd_notify::watchdog_enabled().map(|limit| limit / 3),
             fed: Instant::now(),
-            processed: vec![0; daemon.health().len()],
+            progress: Progress::default(),
         }
     }
 
     fn feed(&mut self, daemon: &Daemon) {
-        if self.every.is_none_or(|every| self.fed.elapsed() < every) {
+        let Some(late) = self.every.and_then(|every| self.fed.elapsed().checked_sub(every)) else {
             return;
-        }
-        let now: Vec<u64> = daemon
-            .health()
-            .iter()
-            .map(|h| h.processed.load(Ordering::Relaxed))
+        };
+        let now = daemon.health().iter();
+        let now: Vec<_> = now
+            .map(|h| (h.state(), h.processed.load(Ordering::Relaxed)))
             .collect();
-        let stuck = daemon
-            .health()
-            .iter()
-            .zip(now.iter().zip(&self.processed))
-            .any(|(h, (now, before))| h.state() == CameraState::Streaming && now == before);
-        if !stuck {
-            self.fed = Instant::now();
-            self.processed = now;
-            let streaming = daemon
-                .health()
-                .iter()
-                .filter(|h| h.state() == CameraState::Streaming)
-                .count();
-            let status = format!("{streaming} of {} cameras streaming", daemon.health().len());
-            notify(&[NotifyState::Watchdog, NotifyState::Status(&status)]);
-        } else {
-            tracing::warn!("a streaming camera's frames are not processed: the watchdog is not fed");
+        match self.progress.look(&now, late) {
+            Verdict::Wait => return,
+            Verdict::Stuck(k) => {
+                let camera = daemon.health().get(k).map(|h| h.camera.to_string());
+                tracing::warn!(
+                    camera,
+                    "its frames come and are not processed: the watchdog is not fed"
+                );
+                return;
+            }
+            Verdict::MovesAgain => tracing::info!("frames are processed again: the watchdog is fed"),
+            Verdict::Moves => {}
         }
+        self.fed = Instant::now();
+        let streaming = now.iter().filter(|(s, _)| *s == CameraState::Streaming).count();
+        let status = format!("{streaming} of {} cameras streaming", now.len());
+        notify(&[NotifyState::Watchdog, NotifyState::Status(&status)]);
     }
 }
 
-/// A broken file changes nothing; of a good one what can change at once does, and the rest is named.
-fn reload(path: &Path, running: &mut DaemonConfig, daemon: &Daemon) {
+/// What a look at the cameras' counters says.
+#[derive(Debug, PartialEq, Eq)]
+enum Verdict {
+    /// Every streaming camera's frames are processed.
+    Moves,
+    /// The same, after [`Self::Stuck`].
+    MovesAgain,
+    /// This camera's are not; said once.
+    Stuck(usize),
+    /// They are not, which has been said or is too new to say.
+    Wait,
+}
+
+/// Frames processed by each camera at the last feeding.
+#[derive(Default)]
+struct Progress {
+    processed: Vec<u64>,
+    told: bool,
+}
+
+/// A camera that has just come back has had no frame processed yet.
+const STUCK: Duration = Duration::from_secs(1);
+
+impl Progress {
+    /// `late`: for how long the watchdog has been due.
+    fn look(&mut self, now: &[(CameraState, u64)], late: Duration) -> Verdict {
+        let stuck = now.iter().enumerate().find(|(k, (state, processed))| {
+            *state == CameraState::Streaming && self.processed.get(*k) == Some(processed)
+        });
+        let Some((k, _)) = stuck else {
+            self.processed = now.iter().map(|(_, processed)| *processed).collect();
+            return match std::mem::take(&mut self.told) {
+                true => Verdict::MovesAgain,
+                false => Verdict::Moves,
+            };
+        };
+        if late < STUCK || self.told {
+            return Verdict::Wait;
+        }
+        self.told = true;
+        Verdict::Stuck(k)
+    }
+}
+
+/// A broken file changes nothing; of a good one what can change at once does, and the rest is named. What `hand_on`
+/// refuses is not in use, and the next signal tries it again.
+fn reload(
+    path: &Path,
+    running: &mut DaemonConfig,
+    hand_on: impl FnOnce(&DaemonConfig, Option<Calibration>) -> Result<(), NotTaken>,
+) {
     let new = match load_daemon(path).and_then(|new| load_rig(&new.rig).map(|_| new)) {
         Ok(new) => new,
         Err(error) => {
@@ -200,7 +249,10 @@ fn reload(path: &Path, running: &mut DaemonConfig, daemon: &Daemon) {
         _ => None,
     };
     if !now.is_empty() {
-        daemon.reload(&new, calibration);
+        if let Err(error) = hand_on(&new, calibration) {
+            tracing::error!("reload refused, nothing has changed: {error}");
+            return;
+        }
         tracing::info!("reload: in use at once: {}", now.join(", "));
         running.take_what_holds_at_once(&new);
     }
@@ -231,5 +283,79 @@ fn first_calibration(config: &DaemonConfig) -> anyhow::Result<Option<Calibration
             tracing::warn!(%error, "the last calibration cannot be read: the first pitches calibrate");
             Ok(None)
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stuck_camera_is_told_of_once_and_so_is_its_return() {
+        use CameraState::{Absent, Streaming};
+        let (soon, late) = (Duration::ZERO, Duration::from_secs(2));
+        let mut progress = Progress::default();
+        assert_eq!(
+            progress.look(&[(Streaming, 5), (Absent, 0)], soon),
+            Verdict::Moves
+        );
+        assert_eq!(
+            progress.look(&[(Streaming, 9), (Streaming, 0)], soon),
+            Verdict::Wait
+        );
+        assert_eq!(
+            progress.look(&[(Streaming, 9), (Streaming, 0)], late),
+            Verdict::Stuck(1)
+        );
+        for _ in 0..100 {
+            assert_eq!(
+                progress.look(&[(Streaming, 20), (Streaming, 0)], late),
+                Verdict::Wait
+            );
+        }
+        assert_eq!(
+            progress.look(&[(Streaming, 21), (Streaming, 3)], late),
+            Verdict::MovesAgain
+        );
+        assert_eq!(
+            progress.look(&[(Streaming, 22), (Streaming, 4)], soon),
+            Verdict::Moves
+        );
+        assert_eq!(
+            progress.look(&[(Absent, 22), (Absent, 4)], soon),
+            Verdict::Moves,
+            "nothing streams"
+        );
+    }
+
+    #[test]
+    fn settings_that_nobody_took_are_tried_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("pitchd.toml");
+        let rig = "[[camera]]\nid = \"first\"\nwidth_px = 64\nheight_px = 32\nframe_rate_hz = 40.0\n[camera.intrinsics]\n\
+                   fx_px = 60.0\nfy_px = 60.0\ncx_px = 31.5\ncy_px = 15.5\n";
+        std::fs::write(folder.path().join("rig.toml"), rig).unwrap();
+        let write = |every: usize| {
+            let text = format!(
+                "rig = \"rig.toml\"\n[calibrate]\nevery_pitches = {every}\n[[camera]]\nid = \"first\"\naddress = \"10.0.0.5\"\n"
+            );
+            std::fs::write(&path, text).unwrap();
+        };
+        write(4);
+        let mut running = load_daemon(&path).unwrap();
+        write(5);
+        let mut asked = Vec::new();
+        for busy in [true, true, false, false] {
+            reload(&path, &mut running, |new, _| {
+                asked.push((busy, new.recalibrate_every));
+                if busy { Err(NotTaken("assemble")) } else { Ok(()) }
+            });
+            assert_eq!(running.recalibrate_every, if busy { 4 } else { 5 });
+        }
+        assert_eq!(
+            asked,
+            [(true, 5), (true, 5), (false, 5)],
+            "what is in use is not handed on again"
+        );
     }
 }

@@ -88,10 +88,21 @@ impl ClipDisk {
     pub fn run(mut self, jobs: &Receiver<DiskJob>) {
         let mut continuous: Option<Open> = None;
         let mut resting = None::<Instant>;
-        for job in jobs {
-            if let Some(new) = self.configs.try_iter().last() {
-                self.config.quota_bytes = new.quota_bytes;
-            }
+        loop {
+            // Settings are taken when they come: between two pitches there is no job for an hour.
+            let job = crossbeam_channel::select_biased! {
+                recv(self.configs) -> new => {
+                    match new {
+                        Ok(new) => self.config.quota_bytes = new.quota_bytes,
+                        Err(_) => self.configs = crossbeam_channel::never(),
+                    }
+                    continue;
+                }
+                recv(jobs) -> job => match job {
+                    Ok(job) => job,
+                    Err(_) => break,
+                },
+            };
             match job {
                 DiskJob::Clip(frames) => self.clip(frames),
                 DiskJob::Frame(held) => {

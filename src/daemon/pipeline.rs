@@ -28,7 +28,7 @@
 //! | `cap-<id>` | | frames, the same memory | (9) 64 frames | the frame is not recorded, counted |
 //! | `record` | (9), (11) | clips | (10) 4 clips, or 64 frames of a continuous recording | the clip or frame is lost, counted |
 //! | `disk` | (10) | session folders | – | blocks alone |
-//! | main | SIGHUP | new settings, to `assemble`, `record` and `disk` | 4 each | logged as an error |
+//! | main | SIGHUP | new settings, to `assemble`, `record` and `disk` | 4 each | refused, logged; the old ones hold |
 //! | `print` | lines | standard output | – | blocks alone |
 //!
 //! No thread that handles frames ever waits for one that fits or solves. Stopping is closing: capture threads stop, each
@@ -77,6 +77,14 @@ pub enum DaemonError {
         source: std::io::Error,
     },
 }
+
+/// New settings found no place.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("{0} has not yet taken the settings before these; try again")]
+pub struct NotTaken(
+    /// The thread.
+    pub &'static str,
+);
 
 /// A running daemon.
 pub struct Daemon {
@@ -223,17 +231,28 @@ impl Daemon {
         &self.published
     }
 
-    /// Takes what can change while it runs; the rest needs a restart.
-    pub fn reload(&self, config: &DaemonConfig, calibration: Option<Calibration>) {
+    /// Takes what can change while it runs; the rest needs a restart. All of it or nothing: `main` alone sends here, so
+    /// that a queue with room keeps it until the send.
+    ///
+    /// # Errors
+    /// [`NotTaken`]: a thread is busy with earlier settings, and nothing has changed.
+    pub fn reload(&self, config: &DaemonConfig, calibration: Option<Calibration>) -> Result<(), NotTaken> {
+        if self.plans.is_full() {
+            return Err(NotTaken("assemble"));
+        }
+        if self.record_configs.iter().any(Sender::is_full) {
+            return Err(NotTaken("the recorder"));
+        }
         let new = NewPlan {
             plan: plan_of(config),
             calibration,
         };
-        let taken = self.plans.try_send(new).is_ok();
-        let record = |to: &Sender<RecordConfig>| to.try_send(config.record.clone()).is_ok();
-        if !(taken && self.record_configs.iter().all(record)) {
-            tracing::error!("reload: not everything was taken, a thread is busy; try again");
+        self.plans.try_send(new).map_err(|_| NotTaken("assemble"))?;
+        for to in &self.record_configs {
+            to.try_send(config.record.clone())
+                .map_err(|_| NotTaken("the recorder"))?;
         }
+        Ok(())
     }
 
     /// Asks every camera to stop; what they have sent is finished.
@@ -393,4 +412,37 @@ fn live_options(
             setup.frame_rate_hz,
         )
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+    use crate::config::parse_daemon;
+
+    #[test]
+    fn settings_are_taken_whole_or_not_at_all() {
+        let text = "rig = \"r\"\n[[camera]]\nid = \"first\"\naddress = \"10.0.0.5\"\n";
+        let config = parse_daemon(Path::new("p.toml"), text).unwrap();
+        let (plans_in, plans) = bounded(4);
+        let (record_in, record) = bounded(2);
+        let daemon = Daemon {
+            stop: Arc::default(),
+            health: Vec::new(),
+            recorder: Arc::default(),
+            published: Arc::default(),
+            plans: plans_in,
+            record_configs: vec![record_in],
+            threads: Vec::new(),
+        };
+        assert_eq!(daemon.reload(&config, None), Ok(()));
+        assert_eq!(daemon.reload(&config, None), Ok(()));
+        assert_eq!(daemon.reload(&config, None), Err(NotTaken("the recorder")));
+        assert_eq!((plans.len(), record.len()), (2, 2), "nothing was taken by half");
+        assert_eq!(record.try_iter().count(), 2);
+        assert_eq!(daemon.reload(&config, None), Ok(()), "there is room again");
+        drop(plans);
+        assert_eq!(daemon.reload(&config, None), Err(NotTaken("assemble")));
+    }
 }

@@ -187,3 +187,24 @@ fn the_quota_removes_the_oldest_and_no_stranger() {
     assert_eq!(names.len(), 2, "{names:?}");
     assert!(folder.path().join("my-own").exists());
 }
+
+#[test]
+fn the_disk_takes_settings_while_there_is_nothing_to_write() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(folder.path(), RecordMode::Clips);
+    let health = Arc::new(RecorderHealth::default());
+    let (configs_in, configs) = bounded(1);
+    let (jobs_in, jobs) = bounded::<DiskJob>(1);
+    let disk = ClipDisk {
+        configs,
+        ..disk_thread_of(config.clone(), &health)
+    };
+    std::thread::scope(|scope| {
+        scope.spawn(move || disk.run(&jobs));
+        for _ in 0..8 {
+            let taken = configs_in.send_timeout(config.clone(), Duration::from_secs(10));
+            assert!(taken.is_ok(), "no pitch for an hour, and the quota cannot change");
+        }
+        drop((configs_in, jobs_in));
+    });
+}
