@@ -129,6 +129,12 @@ pub struct RenderOptions {
     pub shading: Option<f64>,
     /// Birds and blown paper that cross the picture (0; hard 4).
     pub birds: Option<usize>,
+    /// Flags in the wind (0).
+    pub flags: usize,
+    /// Drops of rain in the picture (0).
+    pub rain: usize,
+    /// Between pitches: throws without a ball, swings at nothing, people who walk and run, balls that roll.
+    pub idle_play: bool,
     /// Pitcher, batter, catcher and umpire.
     pub people: Option<bool>,
 }

@@ -14,6 +14,10 @@ use crate::simulation::flight::BALL_RADIUS_M;
 const FINE: usize = 4;
 /// Sub-pixels between two time samples, at most.
 const TIME_STEP_PX: f64 = 0.2;
+/// A ball that all but hits the camera is left out, and needs no more time samples than this: it would take minutes.
+const STREAK_MAX_PX: f64 = 400.0;
+const REACH_MAX_PX: f64 = 80.0;
+const STEPS_MAX: usize = 200;
 /// Light that reaches the unlit side.
 const AMBIENT: f32 = 0.4;
 /// Where the light comes from (world): above, a little from the first-base side and from behind home.
@@ -91,10 +95,10 @@ pub(super) fn ball_patch(
     };
     let (first, last) = (at(0.0)?, at(1.0)?);
     let streak_px = (last.x - first.x).hypot(last.y - first.y);
-    if !(streak_px < 400.0) || first.reach_px > 400.0 {
+    if !(streak_px < STREAK_MAX_PX) || first.reach_px > REACH_MAX_PX {
         return None;
     }
-    let steps = ((streak_px / TIME_STEP_PX).ceil() as usize).max(1);
+    let steps = ((streak_px / TIME_STEP_PX).ceil() as usize).clamp(1, STEPS_MAX);
     let discs: Vec<Disc> = (0..steps)
         .map(|i| at((i as f64 + 0.5) / steps as f64))
         .collect::<Option<_>>()?;

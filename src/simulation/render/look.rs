@@ -21,6 +21,9 @@ pub(super) struct Look {
     pub people: bool,
     pub batter_y_m: f64,
     pub birds: usize,
+    pub flags: usize,
+    pub rain: usize,
+    pub idle_play: bool,
 }
 
 impl Look {
@@ -47,6 +50,9 @@ impl Look {
             people: options.people.unwrap_or(base.people),
             batter_y_m: base.batter_y_m,
             birds: options.birds.unwrap_or(base.birds),
+            flags: options.flags,
+            rain: options.rain,
+            idle_play: options.idle_play,
         }
     }
 }
@@ -68,6 +74,9 @@ const CLEAN: Look = Look {
     people: true,
     batter_y_m: -0.15,
     birds: 0,
+    flags: 0,
+    rain: 0,
+    idle_play: false,
 };
 
 const HARD: Look = Look {

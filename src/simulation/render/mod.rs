@@ -8,6 +8,7 @@ mod background;
 mod ball;
 mod canvas;
 mod ground;
+mod idle;
 mod limb;
 mod look;
 mod people;
@@ -15,6 +16,7 @@ mod scenery;
 mod sensor;
 mod stands;
 mod texture;
+mod weather;
 mod write;
 
 pub use self::write::write_frames;
@@ -27,11 +29,13 @@ use self::background::{Background, View};
 use self::ball::{BallLight, ball_patch};
 use self::canvas::{Canvas, Patch};
 use self::ground::Ground;
+use self::idle::Idle;
 use self::limb::Shape;
 use self::look::Look;
 use self::people::Play;
 use self::scenery::Scenery;
 use self::sensor::Sensor;
+use self::weather::Weather;
 use super::clock::{CameraClock, Exposure, Purpose, stream};
 use super::error::SimulationError;
 use super::scenario::{CameraSpec, Scenario};
@@ -53,6 +57,8 @@ pub struct CameraRenderer {
     canvas: Canvas,
     sensor: Sensor,
     scenery: Scenery,
+    weather: Weather,
+    idle: Option<Idle>,
     plays: Vec<Play>,
     column_light: Vec<[f32; 2]>,
     seed: u64,
@@ -87,6 +93,14 @@ impl CameraRenderer {
             .with_twinkles(&background.crowd, look.crowd_flicker, &mut rng)
             .with_bars(usual_path(camera), look.occlusion, &mut rng)
             .with_birds(look.birds, size_px, &mut rng);
+        let lens = (camera.intrinsics.fx_px, camera.exposure_s);
+        let weather = Weather::default()
+            .with_flags(look.flags, size_px, &mut rng)
+            .with_rain(look.rain, lens, size_px, &mut rng);
+        let mut of_all_cameras = stream(scenario.seed, Purpose::Scenery, 0, 1);
+        let idle = look
+            .idle_play
+            .then(|| Idle::new(look.white_dn, &mut of_all_cameras));
         let pitches = scenario.pitches.len().min(balls.len());
         let plays = plays(&balls[..pitches], &look, scenario);
         Ok(Self {
@@ -96,6 +110,8 @@ impl CameraRenderer {
             canvas: Canvas::new(&background.tones, width),
             sensor: Sensor::new(scenario.seed, width, look.read_noise_dn, look.electrons_per_dn),
             scenery,
+            weather,
+            idle,
             plays,
             column_light: column_light(width),
             camera: camera.clone(),
@@ -142,8 +158,10 @@ impl CameraRenderer {
         self.canvas.restore(&self.background.tones);
         self.scenery
             .draw_behind(exposure.frame, exposure.true_s, &mut self.canvas);
+        self.weather.draw_behind(exposure.true_s, &mut self.canvas);
         self.draw_movers(exposure);
         self.scenery.draw_before(&mut self.canvas);
+        self.weather.draw_before(exposure.true_s, &mut self.canvas);
         let gains = self.gains(exposure.true_s);
         self.sensor.expose(&self.canvas.tones, &gains, &mut rng, out);
     }
@@ -192,7 +210,7 @@ impl CameraRenderer {
         }
     }
 
-    /// The four players at a true time, as shapes in the picture.
+    /// The four players, and who else is on the field, at a true time, as shapes in the picture.
     fn people(&self, true_s: f64) -> Vec<Shape> {
         let Some((play, t)) = self.play_at(true_s) else {
             return Vec::new();
@@ -201,7 +219,14 @@ impl CameraRenderer {
             let light = self.ground.light(&limb.a);
             Shape::of(limb, &self.pose, &self.camera.intrinsics, light)
         };
-        let limbs = play.limbs(t, self.look.white_dn);
+        let practising = self.idle.as_ref().and_then(|_| idle::practice(play, t));
+        let mut swinging = *play;
+        swinging.swing |= practising.is_some();
+        let mut limbs = swinging.limbs(t, practising.unwrap_or((t, t)), self.look.white_dn);
+        limbs.extend(self.idle.iter().flat_map(|idle| match practising {
+            Some(_) => idle.between_pitches(true_s),
+            None => idle.during_pitch(true_s),
+        }));
         limbs.iter().filter_map(project).collect()
     }
 

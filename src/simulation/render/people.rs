@@ -38,7 +38,7 @@ fn ease(from_s: f64, to_s: f64, t: f64) -> f64 {
     u * u * (3.0 - 2.0 * u)
 }
 
-fn mix(a: Point3<f64>, b: Point3<f64>, s: f64) -> Point3<f64> {
+pub(super) fn mix(a: Point3<f64>, b: Point3<f64>, s: f64) -> Point3<f64> {
     a + (b - a) * s
 }
 
@@ -74,13 +74,13 @@ impl Play {
         mix(rest, self.hand(t), ease(-0.3, -0.12, t))
     }
 
-    /// All limbs of all four.
-    pub(super) fn limbs(&self, t: f64, white: f32) -> Vec<Limb> {
+    /// All limbs of all four: pitcher and batter at their own times, the others at `t`.
+    pub(super) fn limbs(&self, t: f64, (pitcher_s, batter_s): (f64, f64), white: f32) -> Vec<Limb> {
         let mut all = Vec::with_capacity(64);
         // After the follow-through the pitcher goes slowly back to where he began.
-        let back = (0.8 - (t - 0.8) / 2.5).max(-1.5);
-        self.pitcher(if t > 0.8 { back } else { t }, white, &mut all);
-        self.batter(t, white, &mut all);
+        let back = (0.8 - (pitcher_s - 0.8) / 2.5).max(-1.5);
+        self.pitcher(if pitcher_s > 0.8 { back } else { pitcher_s }, white, &mut all);
+        self.batter(batter_s, white, &mut all);
         self.catcher(t, &mut all);
         self.umpire(t, &mut all);
         all
@@ -268,6 +268,6 @@ impl Play {
     }
 }
 
-fn limb(all: &mut Vec<Limb>, a: Point3<f64>, b: Point3<f64>, radius_m: [f64; 2], tone: f32) {
+pub(super) fn limb(all: &mut Vec<Limb>, a: Point3<f64>, b: Point3<f64>, radius_m: [f64; 2], tone: f32) {
     all.push(Limb { a, b, radius_m, tone });
 }
