@@ -5,19 +5,22 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::Args;
 
+use crate::daemon::outfit::eye_of;
 use crate::evaluation::{DetectionScore, read_centres, score_tracks, truth_of};
-use crate::eye::{CameraEye, EyeConfig};
+use crate::eye::CameraEye;
 use crate::recording::read_track_folder;
 use crate::scene::{CameraId, Frame, Track};
-use crate::simulation::{CameraRenderer, Scenario, simulate_tracks};
+use crate::simulation::{self, CameraRenderer, Scenario, simulate_tracks};
 
 const AFTER_HELP: &str = "\
 Examples:
   pitchd evaluate detection /tmp/hard/result /tmp/hard/truth
   pitchd evaluate detection --scenario config/scenario/hard.toml --pictures /tmp/misses
+  pitchd evaluate detection --scenario config/scenario/idle.toml --out /tmp/idle
 
 RESULT is an output folder of `replay` (its tracks/ are scored) or a folder of track files; TRUTH holds \
-truth.json and <camera>.csv. With --scenario the frames are rendered, searched and scored in one go.";
+truth.json and <camera>.csv. With --scenario the frames are rendered, searched and scored in one go, \
+and --out keeps what `solve` and `evaluate pitches` need: rig.toml, tracks/, truth/.";
 
 /// Side of a picture of a miss, pixels.
 const PICTURE_SIDE_PX: i64 = 96;
@@ -46,6 +49,9 @@ pub struct EvaluateDetectionArgs {
     /// Cut every miss and every false track out of the frames into this folder (PGM).
     #[arg(long, requires = "scenario", value_name = "DIR")]
     pub pictures: Option<PathBuf>,
+    /// Write rig.toml, tracks/ and truth/ into this folder.
+    #[arg(long, requires = "scenario", value_name = "DIR")]
+    pub out: Option<PathBuf>,
     /// Print the scores as JSON.
     #[arg(long)]
     pub json: bool,
@@ -119,7 +125,7 @@ fn of_scenario(args: &EvaluateDetectionArgs, path: &Path) -> anyhow::Result<Vec<
     let mut simulated = simulate_tracks(&scenario)?;
     let truth = &mut simulated.truth;
     let pitches = truth.pitches.len() as u32;
-    let mut scores = Vec::new();
+    let (mut scores, mut all_tracks) = (Vec::new(), Vec::new());
     for (index, camera) in truth
         .cameras
         .iter()
@@ -132,7 +138,7 @@ fn of_scenario(args: &EvaluateDetectionArgs, path: &Path) -> anyhow::Result<Vec<
             renderer.mark_hidden(&mut centres.centres);
             truth_of(centres)
         });
-        let config = EyeConfig::of_rig(&simulated.rig, &camera.id);
+        let config = eye_of(&simulated.rig, &camera.id, None);
         let mut eye = CameraEye::new(camera.id.clone(), config, camera.width_px, camera.height_px);
         for frame in renderer.frames() {
             eye.push(&frame)?;
@@ -146,6 +152,12 @@ fn of_scenario(args: &EvaluateDetectionArgs, path: &Path) -> anyhow::Result<Vec<
             cut_pictures(&folder.join(camera.id.as_str()), &score, &tracks, frames)?;
         }
         scores.push(score);
+        all_tracks.extend(tracks);
+    }
+    if let Some(folder) = &args.out {
+        simulation::write_rig(folder, &simulated.rig)?;
+        simulation::write_tracks(folder, &simulated.rig, &all_tracks)?;
+        simulation::write_truth(folder, &simulated.truth)?;
     }
     Ok(scores)
 }

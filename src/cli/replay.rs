@@ -10,10 +10,10 @@ use indicatif::{ProgressBar, ProgressStyle};
 use super::solving::SolvingArgs;
 use crate::capture::{FrameSource, RecordingSource};
 use crate::config::{load_rig, parse_rig};
+use crate::daemon::outfit::eye_of;
 use crate::daemon::watch::{Pace, Watched, watch_all};
-use crate::eye::EyeConfig;
 use crate::recording::SessionReader;
-use crate::scene::{Rig, Track};
+use crate::scene::{CameraId, Rig, Track};
 
 const AFTER_HELP: &str = "\
 Examples:
@@ -67,9 +67,9 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     let sources = sources(&session, &rig)?;
     let progress = bar(sources.iter().map(|s| s.frames_expected()).sum());
     let PaceArg(pace) = args.pace;
-    let watched = watch_all(sources, &|camera| EyeConfig::of_rig(&rig, camera), pace, &|| {
-        progress.inc(1)
-    });
+    let known = args.solving.calibration()?;
+    let eye = |camera: &CameraId| eye_of(&rig, camera, known.as_ref());
+    let watched = watch_all(sources, &eye, pace, &|| progress.inc(1));
     progress.finish_and_clear();
 
     let mut warnings: Vec<String> = watched.iter().flat_map(|w| w.reasons.iter().cloned()).collect();

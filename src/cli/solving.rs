@@ -63,6 +63,14 @@ pub struct SolvingArgs {
 }
 
 impl SolvingArgs {
+    /// The calibration given, if one is.
+    ///
+    /// # Errors
+    /// A file that cannot be read.
+    pub fn calibration(&self) -> anyhow::Result<Option<Calibration>> {
+        self.calibration.as_deref().map(read_calibration).transpose()
+    }
+
     /// Solves the tracks, writes the results folder, prints the table and the warnings.
     ///
     /// # Errors
@@ -79,7 +87,7 @@ impl SolvingArgs {
                 Method::Joint => CalibrationMethod::Joint,
                 Method::Kim2019 => CalibrationMethod::Kim2019,
             },
-            calibration: self.calibration.as_deref().map(read_calibration).transpose()?,
+            calibration: self.calibration()?,
         };
         let mut batch = solve_tracks(rig, tracks, &options)?;
         batch.warnings.splice(0..0, earlier_warnings);

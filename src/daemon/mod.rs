@@ -7,6 +7,7 @@ pub mod foresee;
 pub mod health;
 pub mod histogram;
 pub mod looker;
+pub mod outfit;
 pub mod pipeline;
 pub mod publish;
 pub mod recorder;

@@ -46,6 +46,7 @@ use super::clip_disk::ClipDisk;
 use super::foresee::{Foresee, InFlight};
 use super::health::CameraHealth;
 use super::looker::{self, SeenTrack};
+use super::outfit;
 use super::publish::{self, PublishHealth};
 use super::recorder::{ClipTrigger, RecordedLive, Recorder, RecorderHealth};
 use super::supervise::Supervisor;
@@ -145,7 +146,7 @@ pub fn start(
         captures.push(((name, below(priority, Urgency::Capture)), supervisor));
         let (look_in, look) = bounded(LOOK_QUEUE);
         let (steps_in, steps) = bounded(4);
-        let eye = EyeConfig::of_rig(&rig, &connection.id);
+        let eye = outfit::eye_of(&rig, &connection.id, None);
         trackers.insert(connection.id.clone(), eye.tracker.clone());
         let channels = EyeChannels {
             look: look_in,

@@ -7,6 +7,7 @@
 
 pub mod equations;
 mod error;
+mod gate;
 mod nine_parameter;
 mod numbers;
 pub mod outcome;

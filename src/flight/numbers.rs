@@ -34,6 +34,30 @@ pub enum NumbersError {
         /// Plane, metres.
         y_m: f64,
     },
+    /// It passes where no pitch does.
+    #[error("no pitch flies {what} at x = {x_m:.2} m, z = {z_m:.2} m (y = {y_m:.2} m)")]
+    OutOfTheWay {
+        /// Which place.
+        what: &'static str,
+        /// Plane, metres.
+        y_m: f64,
+        /// Where, metres.
+        x_m: f64,
+        /// How high, metres.
+        z_m: f64,
+    },
+    /// It was in flight before it could have been released.
+    #[error("it was already in flight {y_m:.1} m from the plate: thrown from behind the mound")]
+    FromBehindTheMound {
+        /// First point seen, metres.
+        y_m: f64,
+    },
+    /// Too little of the way was seen.
+    #[error("only {seen_m:.1} m of its way to the plate were seen")]
+    BarelySeen {
+        /// Along y, metres.
+        seen_m: f64,
+    },
     /// The covariance does not fit the trajectory.
     #[error("covariance is {rows}×{columns}, the flight has {expected} parameters")]
     CovarianceShape {

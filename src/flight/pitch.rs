@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::gate::check_pitch;
 use super::nine_parameter::{FOOT_M, MPH_MPS, PLATE_FRONT_Y_FT, STATCAST_GRAVITY_FTPS2};
 use super::numbers::{
     NineParameterView, NumbersError, PLATE_FRONT_Y_M, PLATE_MIDDLE_Y_M, PlaneState, RELEASE_Y_M,
@@ -69,6 +70,7 @@ pub fn pitch_from_flight(
     let release = state_at_plane(path, covariance, (options.release_y_m, "release"))?;
     let front = state_at_plane(path, covariance, (PLATE_FRONT_Y_M, "front of the plate"))?;
     let middle = state_at_plane(path, covariance, (PLATE_MIDDLE_Y_M, "middle of the plate"))?;
+    check_pitch(flight, (options.release_y_m, &release), &front)?;
     let view = nine_parameter_view(path, covariance, options.release_y_m)?;
     let plate_mid_m = [middle.position_m.x, middle.position_m.z];
     let mid_covariance = middle.xz_covariance_m2();

@@ -18,6 +18,8 @@ pub struct TrackerConfig {
     pub speed_radii_per_s_min: f64,
     /// Shortest way of a pitch across the line of sight, in ball radii (100 is 3.7 m).
     pub path_radii_min: f64,
+    /// Unit vector along which pitches go in the picture, where that is known; what goes another way is no pitch.
+    pub pitch_way: Option<[f64; 2]>,
     /// Most hypotheses kept alive.
     pub hypotheses_max: usize,
     /// A break between stamps longer than this ends every track, seconds.
@@ -34,6 +36,7 @@ impl Default for TrackerConfig {
             speed_px_per_frame: [0.7, 90.0],
             speed_radii_per_s_min: 300.0,
             path_radii_min: 40.0,
+            pitch_way: None,
             hypotheses_max: 64,
             break_s: 0.25,
         }

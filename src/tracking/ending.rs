@@ -1,6 +1,7 @@
 //! What happens when a path ends: back to the hand, outliers out, ends trimmed, shape judged.
 
 use std::collections::VecDeque;
+use std::ops::Range;
 
 use super::config::TrackerConfig;
 use super::curve::{Curve, Sample, Stiffness};
@@ -24,6 +25,11 @@ const GROW_MAX_PX: f64 = 5.0;
 /// Points taken off an end at once, and the rms distance from a smooth curve that is smooth enough, pixels.
 const TRIM_STEP: usize = 2;
 const TRIM_RMS_PX: f64 = 0.9;
+/// A stretch that is not smooth is tried at so many more places (more where it matters), then shorter by one part in so
+/// many.
+const TRIM_PLACES: usize = 6;
+const FINE_PLACES: usize = 24;
+const TRIM_SHARE: usize = 16;
 /// Last points left out before a path is followed on.
 const LEFT_OUT: [usize; 3] = [0, 4, 8];
 /// So few points after a gap of more than so many frames do not belong to a path.
@@ -132,23 +138,33 @@ fn grow<'a>(path: &mut Vec<Point>, next: impl Iterator<Item = &'a Point>) {
     }
 }
 
-/// The longest stretch that is smooth as a whole: what the hand and the glove add bends it.
+/// The longest stretch that is smooth as a whole: what the hand and the glove add bends it. Ever shorter stretches are
+/// tried at a few places each, then those between the first smooth one and the last that was not: all lengths and places
+/// of a rough path of hundreds of points would be tens of thousands of fits.
 fn trim_ends(points: Vec<Point>) -> Vec<Point> {
-    let mut best = 0..0;
-    for begin in (0..points.len()).step_by(TRIM_STEP) {
-        let mut end = points.len();
-        while end > begin + WINDOW && end - begin > best.len() {
-            if points
-                .get(begin..end)
-                .is_some_and(|stretch| roughness_px(stretch) < TRIM_RMS_PX)
-            {
-                best = begin..end;
-                break;
-            }
-            end = end.saturating_sub(TRIM_STEP);
+    let is_smooth = |range: &Range<usize>| {
+        let stretch = points.get(range.clone());
+        stretch.is_some_and(|stretch| roughness_px(stretch) < TRIM_RMS_PX)
+    };
+    let smooth_of = |length: usize, places_max: usize| {
+        let spare = points.len() - length;
+        let places = (spare / TRIM_STEP).min(places_max);
+        let begins = (0..=places).map(|i| spare * i / places.max(1));
+        begins
+            .map(|begin| begin..begin + length)
+            .find(|range| is_smooth(range))
+    };
+    let (mut length, mut rough_length) = (points.len(), points.len());
+    while length > WINDOW {
+        if let Some(found) = smooth_of(length, TRIM_PLACES) {
+            let between = (length + 1..rough_length).rev().step_by(TRIM_STEP);
+            let longer = between.filter_map(|length| smooth_of(length, FINE_PLACES)).next();
+            return points.get(longer.unwrap_or(found)).unwrap_or(&[]).to_vec();
         }
+        rough_length = length;
+        length -= (length / TRIM_SHARE).max(TRIM_STEP).min(length);
     }
-    points.get(best).unwrap_or(&[]).to_vec()
+    Vec::new()
 }
 
 /// Rms distance from one smooth curve.
@@ -226,6 +242,11 @@ fn follow<'a>(
     let sense = points
         .first()
         .map_or(1.0, |p| if p.t <= start.t { 1.0 } else { -1.0 });
+    let fitted = |points: &[Point]| {
+        let from = points.len().saturating_sub(LOOK_AHEAD);
+        local_curve(points.get(from..).unwrap_or(&[]))
+    };
+    let mut curve = fitted(points);
     for frame in frames {
         let Some(last) = points.last().copied() else {
             return;
@@ -237,17 +258,17 @@ fn follow<'a>(
         if ahead > f64::from(config.gap_frames_max) {
             return;
         }
-        let from = points.len().saturating_sub(LOOK_AHEAD);
-        let Some(curve) = local_curve(points.get(from..).unwrap_or(&[])) else {
+        let Some(predicted) = curve.as_ref().map(|curve| curve.predict(frame.t)) else {
             return;
         };
         let best = frame
             .points
             .iter()
-            .filter_map(|p| gain(&curve, frame.t, &last, p).map(|gain| (gain, p)))
+            .filter_map(|p| gain(&predicted, &last, p).map(|gain| (gain, p)))
             .max_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((_, point)) = best {
             points.push(*point);
+            curve = fitted(points);
         }
     }
 }

@@ -3,7 +3,7 @@
 use nalgebra::Vector2;
 
 use super::config::TrackerConfig;
-use super::curve::{Curve, Sample, Stiffness};
+use super::curve::{Curve, Prediction, Sample, Stiffness};
 use crate::scene::Detection;
 
 /// Points that the prediction looks back on.
@@ -14,6 +14,8 @@ const MODEL_SIGMA_PX: f64 = 0.4;
 const LIGHT_OFFSET_OF_RADIUS: f64 = 0.3;
 /// Gate in standard deviations.
 const GATE_SIGMAS: f64 = 4.0;
+/// Sizes of one ball in three frames differ by less than this.
+const SIZE_RATIO_MAX: f64 = 2.46;
 /// A gate is never wider than this, pixels.
 const GATE_MAX_PX: f64 = 14.0;
 
@@ -119,10 +121,11 @@ impl Hypothesis {
         let Some(last) = self.points.last() else {
             return Vec::new();
         };
+        let predicted = curve.predict(t);
         let mut found: Vec<Match> = points
             .iter()
             .filter_map(|point| {
-                gain(curve, t, last, point).map(|gain| Match {
+                gain(&predicted, last, point).map(|gain| Match {
                     index: point.index,
                     gain,
                 })
@@ -141,13 +144,23 @@ impl Hypothesis {
 
     /// Share of this path's points that the other path has too.
     pub fn shared(&self, other: &[Point]) -> f64 {
-        let both = self
-            .points
-            .iter()
-            .filter(|p| other.iter().any(|q| q.same(p)))
-            .count();
-        both as f64 / self.points.len().max(1) as f64
+        in_both(&self.points, other) as f64 / self.points.len().max(1) as f64
     }
+}
+
+/// Detections that two paths have in common; both are by rising time.
+pub fn in_both(one: &[Point], other: &[Point]) -> usize {
+    let mut rest = other;
+    let mut count = 0;
+    for point in one {
+        while let [first, later @ ..] = rest
+            && first.detection.frame < point.detection.frame
+        {
+            rest = later;
+        }
+        count += usize::from(rest.first().is_some_and(|first| first.same(point)));
+    }
+    count
 }
 
 /// A parabola through some points with a prior on its acceleration.
@@ -169,12 +182,15 @@ pub fn light_variance_px2(last: &Point, point: &Point) -> f64 {
     (LIGHT_OFFSET_OF_RADIUS * last.detection.radius_px.max(point.detection.radius_px)).powi(2)
 }
 
-/// Gain in score from continuing a path, fitted as `curve`, with `point`; `None` outside the gate.
-pub fn gain(curve: &Curve, t: f64, last: &Point, point: &Point) -> Option<f64> {
-    let miss = (point.position() - curve.position(t)).norm();
-    let variance = curve.variance_px2(t) + point.sample().variance_px2 + light_variance_px2(last, point);
+/// Gain in score from continuing a path whose prediction this is with `point`; `None` outside the gate.
+pub fn gain(predicted: &Prediction, last: &Point, point: &Point) -> Option<f64> {
+    let miss = (point.position() - predicted.position_px).norm();
+    if miss > GATE_MAX_PX {
+        return None;
+    }
+    let variance = predicted.variance_px2 + point.sample().variance_px2 + light_variance_px2(last, point);
     let sigmas = miss / variance.sqrt();
-    if miss > GATE_MAX_PX || sigmas > GATE_SIGMAS {
+    if sigmas > GATE_SIGMAS {
         return None;
     }
     let ratio = (point.detection.radius_px / last.detection.radius_px.max(0.1))
@@ -184,22 +200,64 @@ pub fn gain(curve: &Curve, t: f64, last: &Point, point: &Point) -> Option<f64> {
     Some(2.5 - 0.3 * sigmas * sigmas - size)
 }
 
-/// Seeds: three detections in line at nearly even steps, of like size.
-pub fn aligned(config: &TrackerConfig, a: &Point, b: &Point, c: &Point) -> bool {
-    let (first, second) = (b.t - a.t, c.t - b.t);
-    if first <= 0.0 || second <= 0.0 {
-        return false;
+/// Two detections of different frames that a ball may have made one after the other.
+#[derive(Debug, Clone, Copy)]
+pub struct Pair<'a> {
+    from: &'a Point,
+    to: &'a Point,
+    velocity: Vector2<f64>,
+    speed: f64,
+}
+
+impl<'a> Pair<'a> {
+    /// `None` where sizes or speed are not a ball's.
+    pub fn new(config: &TrackerConfig, from: &'a Point, to: &'a Point) -> Option<Self> {
+        let frames = to.t - from.t;
+        let velocity = (to.position() - from.position()) / frames;
+        let speed = velocity.norm();
+        let [slowest, fastest] = config.speed_px_per_frame;
+        // Speeds of three in line differ by less than their mean and 0.3.
+        let possible = 2.0 * speed + 0.3 >= slowest && speed <= 1.5 * fastest + 0.3;
+        (frames > 0.0 && possible && alike(from, to)).then_some(Self {
+            from,
+            to,
+            velocity,
+            speed,
+        })
     }
-    let (v1, v2) = (
-        (b.position() - a.position()) / first,
-        (c.position() - b.position()) / second,
-    );
-    let speed = 0.5 * (v1.norm() + v2.norm());
-    let [slowest, fastest] = config.speed_px_per_frame;
-    let noise = |p: &Point| 0.5 * p.detection.covariance_px2.trace();
-    let tolerance =
-        0.5 + 0.08 * speed + 2.0 * (noise(a) + 4.0 * noise(b) + noise(c)).sqrt() / first.min(second);
+
+    /// The earlier of the two.
+    pub fn middle(&self) -> &'a Point {
+        self.from
+    }
+
+    /// Seeds: three detections in line at nearly even steps, of like size; `first` comes before both of the pair.
+    pub fn continues(&self, config: &TrackerConfig, first: &Point) -> bool {
+        let (before, after) = (self.from.t - first.t, self.to.t - self.from.t);
+        if before <= 0.0 {
+            return false;
+        }
+        let velocity = (self.from.position() - first.position()) / before;
+        let turn = (self.velocity - velocity).norm();
+        // The rest is dear, and this leaves little: the mean speed is at most this one's and half of the turn.
+        if turn > 0.6 + 2.0 * self.speed {
+            return false;
+        }
+        let speed = 0.5 * (velocity.norm() + self.speed);
+        let [slowest, fastest] = config.speed_px_per_frame;
+        let noise = |p: &Point| 0.5 * p.detection.covariance_px2.trace();
+        let spread = (noise(first) + 4.0 * noise(self.from) + noise(self.to)).sqrt();
+        let tolerance = 0.5 + 0.08 * speed + 2.0 * spread / before.min(after);
+        turn <= tolerance.min(0.3 + speed)
+            && (slowest..=fastest).contains(&speed)
+            && alike(first, self.from)
+            && alike(first, self.to)
+    }
+}
+
+/// Whether the sizes of two detections may be one ball's.
+fn alike(one: &Point, other: &Point) -> bool {
     let radius = |p: &Point| p.detection.radius_px.max(0.5);
-    let alike = (radius(a) / radius(c)).ln().abs() < 0.9 && (radius(a) / radius(b)).ln().abs() < 0.9;
-    alike && (slowest..=fastest).contains(&speed) && (v2 - v1).norm() <= tolerance.min(0.3 + speed)
+    let ratio = radius(one) / radius(other);
+    (1.0 / SIZE_RATIO_MAX..SIZE_RATIO_MAX).contains(&ratio)
 }

@@ -13,9 +13,11 @@ mod open;
 mod polish;
 mod shape;
 mod tracker;
+mod way;
 
 pub use config::TrackerConfig;
 pub use open::OpenPath;
 pub use polish::polish;
 pub use shape::{TrackKind, TrackShape, TrackedBall, vote};
 pub use tracker::{Tracker, TrackerCounters};
+pub use way::pitch_way;

@@ -120,9 +120,17 @@ impl TrackShape {
             TrackKind::Short
         } else if self.speed_radii_per_s() < config.speed_radii_per_s_min {
             TrackKind::Slow
+        } else if config.pitch_way.is_some_and(|way| !self.goes(way)) {
+            TrackKind::ThrowBack
         } else {
             TrackKind::Pitch
         }
+    }
+
+    /// Whether it goes roughly along a unit vector.
+    fn goes(&self, [x, y]: [f64; 2]) -> bool {
+        let [vx, vy] = self.velocity_px_per_s;
+        vx * x + vy * y > SAME_WAY_COSINE * vx.hypot(vy)
     }
 }
 
@@ -138,7 +146,8 @@ fn peak_speed(samples: &[Sample]) -> f64 {
 }
 
 /// Which of these shapes of one camera go with its pitches: most balls, and the fast ones most of all, fly the
-/// same way at about the same size. `false`: a throw back, a pick-off, or something else that is smooth.
+/// same way at about the same size. `false`: a throw back, a pick-off, or something else that is smooth. As many balls
+/// are thrown back as are pitched, and along longer paths, so only speed tells: it counts by its cube.
 pub fn vote(shapes: &[TrackShape]) -> Vec<bool> {
     let direction = |s: &TrackShape| {
         let [vx, vy] = s.velocity_px_per_s;
@@ -152,7 +161,7 @@ pub fn vote(shapes: &[TrackShape]) -> Vec<bool> {
     };
     let support = |a: &TrackShape| -> f64 {
         let friends = shapes.iter().filter(|b| alike(a, b));
-        friends.map(|b| b.path_radii() * b.speed_radii_per_s()).sum()
+        friends.map(|b| b.speed_radii_per_s().powi(3)).sum()
     };
     let leader = shapes.iter().max_by(|a, b| support(a).total_cmp(&support(b)));
     shapes
@@ -187,5 +196,30 @@ mod tests {
         ];
         assert_eq!(vote(&shapes), [true, false, true, false, false]);
         assert_eq!(vote(&shapes[..1]), [true]);
+        // Every pitch is thrown back, more slowly, seen for longer.
+        let back = |vx: f64| TrackShape {
+            span_s: 0.9,
+            ..shape(vx, -60.0, 3.3)
+        };
+        let shapes = [
+            shape(-3100.0, 200.0, 3.2),
+            back(2000.0),
+            shape(-2700.0, 250.0, 3.3),
+            back(1800.0),
+        ];
+        assert_eq!(vote(&shapes), [true, false, true, false]);
+    }
+
+    #[test]
+    fn a_known_way_tells_pitches_from_throws_back() {
+        let config = TrackerConfig {
+            pitch_way: Some([-1.0, 0.0]),
+            ..TrackerConfig::default()
+        };
+        assert_eq!(shape(-3300.0, 250.0, 3.2).kind(&config), TrackKind::Pitch);
+        assert_eq!(shape(3300.0, 250.0, 3.2).kind(&config), TrackKind::ThrowBack);
+        assert_eq!(shape(-900.0, 3000.0, 3.2).kind(&config), TrackKind::ThrowBack);
+        let unknown = TrackerConfig::default();
+        assert_eq!(shape(3300.0, 250.0, 3.2).kind(&unknown), TrackKind::Pitch);
     }
 }

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use super::config::TrackerConfig;
 use super::ending::conclude;
-use super::hypothesis::{Hypothesis, Match, Point, aligned};
+use super::hypothesis::{Hypothesis, Match, Pair, Point, in_both};
 use super::open::{OpenPath, open_paths};
 use super::shape::{TrackKind, TrackShape, TrackedBall};
 use crate::geometry::Pixel;
@@ -235,25 +235,25 @@ impl Tracker {
 
     /// Starts a hypothesis for every three detections in line that end in this frame.
     fn seed(&mut self, points: &[Point], taken: &[bool]) {
-        let mut seeds = Vec::new();
+        let mut seeds: Vec<[Point; 3]> = Vec::new();
         let back: Vec<&FramePoints> = self.history.iter().rev().take(SEED_FRAMES).collect();
         for (c, _) in points.iter().zip(taken).filter(|(_, taken)| !**taken) {
             for (i, middle) in back.iter().enumerate().take(2) {
-                for first in back.iter().skip(i + 1).take(2) {
-                    for b in &middle.points {
-                        for a in &first.points {
-                            if aligned(&self.config, a, b, c) {
-                                seeds.push(Hypothesis::new(vec![*a, *b, *c]));
-                            }
-                        }
+                for pair in middle.points.iter().filter_map(|b| Pair::new(&self.config, b, c)) {
+                    for first in back.iter().skip(i + 1).take(2) {
+                        let in_line = |a: &&Point| pair.continues(&self.config, a);
+                        let found = first.points.iter().filter(in_line);
+                        seeds.extend(found.map(|a| [*a, *pair.middle(), *c]));
                     }
                 }
             }
         }
-        let strength = |h: &Hypothesis| h.points.iter().map(|p| p.detection.strength).sum::<f64>();
+        let strength = |seed: &[Point; 3]| seed.iter().map(|p| p.detection.strength).sum::<f64>();
         seeds.sort_by(|a, b| strength(b).total_cmp(&strength(a)));
         self.counters.hypotheses_dropped += seeds.len().saturating_sub(SEEDS_MAX) as u64;
-        self.alive.extend(seeds.into_iter().take(SEEDS_MAX));
+        let seeds = seeds.into_iter().take(SEEDS_MAX);
+        self.alive
+            .extend(seeds.map(|seed| Hypothesis::new(seed.to_vec())));
     }
 
     fn prune(&mut self, t: f64) {
@@ -291,8 +291,7 @@ impl Tracker {
         let all = alive.chain(self.ending.iter().chain(&self.recent).map(Vec::as_slice));
         let mut found: Vec<&[Point]> = Vec::new();
         for other in all.filter(|other| beside(points, other)) {
-            let known = |p: &Point| found.iter().any(|f| f.iter().any(|q| q.same(p)));
-            if !other.iter().any(known) {
+            if !found.iter().any(|known| in_both(known, other) > 0) {
                 found.push(other);
             }
         }
@@ -321,10 +320,7 @@ impl Tracker {
             return;
         };
         let (points, mut ball) = ball;
-        let shared = |other: &[Point]| {
-            let both = points.iter().filter(|p| other.iter().any(|q| q.same(p))).count();
-            both as f64 > SHARED_MAX * points.len() as f64
-        };
+        let shared = |other: &[Point]| in_both(&points, other) as f64 > SHARED_MAX * points.len() as f64;
         // The end of a ball that was lost for a while also finds its begin: the longer one counts, unless that makes
         // a pitch into something else.
         let rest_of = self.pending.iter().position(|(other, _)| shared(other));
@@ -401,11 +397,7 @@ fn beside(a: &[Point], b: &[Point]) -> bool {
     };
     let (begin, end) = (a0.t.max(b0.t), a1.t.min(b1.t));
     let shorter = (a1.t - a0.t).min(b1.t - b0.t);
-    if b.len() < 6
-        || end - begin < 5.0
-        || end - begin < 0.5 * shorter
-        || a.iter().any(|p| b.iter().any(|q| q.same(p)))
-    {
+    if b.len() < 6 || end - begin < 5.0 || end - begin < 0.5 * shorter || in_both(a, b) > 0 {
         return false;
     }
     let at = |points: &[Point], t: f64| points.iter().find(|p| p.t >= t - 0.5).map(Point::position);

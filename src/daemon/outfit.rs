@@ -1,0 +1,38 @@
+//! Settings of a camera's eye: what the rig says, and which way pitches go by the pose that is known before any pitch.
+
+use crate::calibration::resection::resect_camera;
+use crate::eye::EyeConfig;
+use crate::geometry::Pose;
+use crate::scene::{Calibration, CameraId, CameraSetup, Motion, Rig, WorldFrame};
+use crate::tracking::pitch_way;
+
+/// The settings for a camera of the rig; `known` is a calibration that is there already.
+pub fn eye_of(rig: &Rig, camera: &CameraId, known: Option<&Calibration>) -> EyeConfig {
+    let mut eye = EyeConfig::of_rig(rig, camera);
+    if rig.site.motion == Motion::Flight
+        && let Some(setup) = rig.camera(camera)
+    {
+        let poses = poses_of(setup, known);
+        let mut ways = poses
+            .iter()
+            .map(|pose| pitch_way(pose, &setup.intrinsics, rig.site.field));
+        // Landmarks that allow two poses: both must agree.
+        let first = ways.next().flatten();
+        let agrees = |a: [f64; 2], b: [f64; 2]| a[0] * b[0] + a[1] * b[1] > 0.9;
+        eye.tracker.pitch_way =
+            first.filter(|way| ways.all(|other| other.is_some_and(|other| agrees(*way, other))));
+    }
+    eye
+}
+
+/// Poses a camera may have.
+fn poses_of(setup: &CameraSetup, known: Option<&Calibration>) -> Vec<Pose> {
+    let calibrated = known
+        .filter(|c| c.world == WorldFrame::HomePlate)
+        .and_then(|c| c.camera(&setup.id));
+    if let Some(camera) = calibrated {
+        return vec![camera.camera_from_world];
+    }
+    let resections = resect_camera(setup).unwrap_or_default();
+    resections.iter().map(|resection| resection.pose).collect()
+}
