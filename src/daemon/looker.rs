@@ -7,7 +7,7 @@ use std::sync::atomic::Ordering;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::health::CameraHealth;
-use crate::eye::{BallStep, EndedBall, EyeConfig, SecondLook};
+use crate::eye::{BallStep, EndedBall, EyeConfig, FlyingBall, SecondLook};
 use crate::scene::Track;
 use crate::time::{ArrivalTime, StampedMidpoint};
 
@@ -24,6 +24,8 @@ pub struct SeenTrack {
 
 /// What the second look is told, in the order in which it happened.
 pub enum ToLook {
+    /// A ball that still flies: most of the work is done when it has landed.
+    Flying(Box<FlyingBall>),
     /// A ball that was last seen some frames ago: what is found now need not be sought when its path has ended.
     Early(Box<EndedBall>),
     /// A ball whose path has ended.
@@ -56,6 +58,10 @@ pub fn look(
     for told in balls {
         let ball = match told {
             ToLook::Ball(ball) => *ball,
+            ToLook::Flying(flying) => {
+                second.look_ahead(&flying);
+                continue;
+            }
             ToLook::Early(ending) => {
                 second.look_early(*ending);
                 continue;

@@ -168,6 +168,10 @@ impl Watcher<'_> {
             return;
         };
         let clock_epoch = *clock_epoch;
+        for flying in eye.flying() {
+            // As below: where it is missed the fit begins anew.
+            let _ = self.channels.look.try_send(ToLook::Flying(Box::new(flying)));
+        }
         for ending in eye.ending() {
             // Only a help: it may be missed.
             let _ = self.channels.look.try_send(ToLook::Early(Box::new(ending)));

@@ -38,41 +38,70 @@ impl Reach {
     }
 }
 
-/// A reference as it is read: moved by a fraction of a pixel, dimmed.
+/// A reference as it is read: moved by whole pixels and a fraction of one, dimmed.
+#[derive(Clone, Copy)]
 struct Reference<'a> {
     levels: &'a [u8],
     width: usize,
-    moved: Vector2<f64>,
+    whole: (isize, isize),
+    /// 0 to 1 to the right and down.
+    part: Vector2<f64>,
     gain: f64,
     /// Mean squared mismatch in the ring beyond noise, levels².
     unsure: f64,
 }
 
 impl Reference<'_> {
+    fn moved_by(self, moved: Vector2<f64>) -> Self {
+        let below = |v: f64| v as isize - isize::from(v < 0.0 && v != (v as isize) as f64);
+        let whole = (below(moved.x), below(moved.y));
+        Self {
+            whole,
+            part: moved - Vector2::new(whole.0 as f64, whole.1 as f64),
+            ..self
+        }
+    }
+
     /// Level at a place of the cut-out; `None` outside it.
     fn at(&self, x: usize, y: usize) -> Option<f64> {
-        if self.moved == Vector2::zeros() {
-            return self
-                .levels
-                .get(y * self.width + x)
-                .map(|v| self.gain * f64::from(*v));
-        }
-        let (px, py) = (x as f64 + self.moved.x, y as f64 + self.moved.y);
-        let (fx, fy) = (px - px.floor(), py - py.floor());
-        if px < 0.0 || py < 0.0 {
-            return None;
-        }
-        let (left, top) = (px as usize, py as usize);
+        let left = x.checked_add_signed(self.whole.0)?;
+        let top = y.checked_add_signed(self.whole.1)?;
         let level = |x: usize, y: usize| -> Option<f64> {
             let x = (x < self.width).then_some(x)?;
             self.levels.get(y * self.width + x).map(|v| f64::from(*v))
         };
+        if self.part == Vector2::zeros() {
+            return level(left, top).map(|v| self.gain * v);
+        }
+        let (fx, fy) = (self.part.x, self.part.y);
         let row = |y: usize| -> Option<f64> {
             let right = if fx > 0.0 { level(left + 1, y)? } else { 0.0 };
             Some(level(left, y)? * (1.0 - fx) + right * fx)
         };
         let below = if fy > 0.0 { row(top + 1)? } else { 0.0 };
         Some(self.gain * (row(top)? * (1.0 - fy) + below * fy))
+    }
+}
+
+/// The pixels around the ball, with their levels and room to compare them with a reference's.
+struct Ring {
+    places: Vec<(usize, usize, f64)>,
+    pairs: Vec<(f64, f64)>,
+    differences: Vec<f64>,
+}
+
+impl Ring {
+    fn new(patch: &Patch<'_>, reach: &Reach) -> Self {
+        let places = places(patch).zip(patch.current);
+        let places: Vec<(usize, usize, f64)> = places
+            .filter(|((x, y), _)| (0.0..RING_PX).contains(&reach.beyond(Vector2::new(*x as f64, *y as f64))))
+            .map(|((x, y), level)| (x, y, f64::from(*level)))
+            .collect();
+        Self {
+            pairs: Vec::with_capacity(places.len()),
+            differences: Vec::with_capacity(places.len()),
+            places,
+        }
     }
 }
 
@@ -85,11 +114,9 @@ pub fn observe(patch: &Patch<'_>, start: &PictureStart, blur_px: f64) -> (Vec<Ob
         half: start.streak_px * 0.5,
         reach_px: 1.3 * start.radius_px + 3.0 * blur_px + 1.0,
     };
-    let ring: Vec<(usize, usize)> = places(patch)
-        .filter(|(x, y)| (0.0..RING_PX).contains(&reach.beyond(Vector2::new(*x as f64, *y as f64))))
-        .collect();
-    let one = matched(patch, patch.one, &ring, sigma);
-    let other = matched(patch, patch.other, &ring, sigma);
+    let mut ring = Ring::new(patch, &reach);
+    let one = matched((patch.one, patch.width), &mut ring, sigma);
+    let other = matched((patch.other, patch.width), &mut ring, sigma);
     let brighter = lift_near(patch, reach.centre) >= 0;
     let mut observations = Vec::with_capacity(patch.current.len());
     let mut contrast = (0.0, 0.0);
@@ -154,64 +181,61 @@ fn behind(
 }
 
 /// The reference that matches the ring best.
-fn matched<'a>(patch: &Patch<'_>, levels: &'a [u8], ring: &[(usize, usize)], sigma: f64) -> Reference<'a> {
-    let mut best = Reference {
+fn matched<'a>((levels, width): (&'a [u8], usize), ring: &mut Ring, sigma: f64) -> Reference<'a> {
+    let still = Reference {
         levels,
-        width: patch.width,
-        moved: Vector2::zeros(),
+        width,
+        whole: (0, 0),
+        part: Vector2::zeros(),
         gain: 1.0,
         unsure: 0.0,
     };
-    if ring.len() < RING_MIN {
-        return best;
+    if ring.places.len() < RING_MIN {
+        return still;
     }
     let noise = sigma * sigma;
-    let mut least = dim(patch, &mut best, ring, sigma);
-    if least > MOVE_RATIO * noise {
-        let still = least;
-        let mut place = (0, 0);
-        let mut costs = [[f64::INFINITY; 2 * MOVE_MAX_PX as usize + 1]; 2 * MOVE_MAX_PX as usize + 1];
-        for dy in -MOVE_MAX_PX..=MOVE_MAX_PX {
-            for dx in -MOVE_MAX_PX..=MOVE_MAX_PX {
-                let mut trial = Reference {
-                    moved: Vector2::new(f64::from(dx), f64::from(dy)),
-                    ..best
-                };
-                let cost = dim(patch, &mut trial, ring, sigma);
-                if let Some(slot) = costs
-                    .get_mut((dy + MOVE_MAX_PX) as usize)
-                    .and_then(|row| row.get_mut((dx + MOVE_MAX_PX) as usize))
-                {
-                    *slot = cost;
-                }
-                if cost < least {
-                    (least, place) = (cost, (dx, dy));
-                }
-            }
-        }
-        if least < MOVE_GAIN * still {
-            let cost = |dx: i32, dy: i32| {
-                let row = costs.get((dy + MOVE_MAX_PX) as usize);
-                row.and_then(|row| row.get((dx + MOVE_MAX_PX) as usize)).copied()
-            };
-            let (dx, dy) = place;
-            let part_x = vertex(cost(dx - 1, dy), least, cost(dx + 1, dy));
-            let part_y = vertex(cost(dx, dy - 1), least, cost(dx, dy + 1));
-            let mut finer = Reference {
-                moved: Vector2::new(f64::from(dx) + part_x, f64::from(dy) + part_y),
-                ..best
-            };
-            best.moved = Vector2::new(f64::from(dx), f64::from(dy));
-            let finer_cost = dim(patch, &mut finer, ring, sigma);
-            if finer_cost < least {
-                (least, best) = (finer_cost, finer);
-            } else {
-                least = dim(patch, &mut best, ring, sigma);
-            }
-        }
+    let (mut best, mut least) = dimmed(still, ring, sigma);
+    if least > MOVE_RATIO * noise
+        && let Some((moved, cost)) = moved(still, ring, (sigma, MOVE_GAIN * least))
+    {
+        (best, least) = (moved, cost);
     }
     best.unsure = (least - noise).max(0.0);
     best
+}
+
+/// The reference moved to where it matches the ring best, and its mismatch there, if that is below `worth`.
+fn moved<'a>(
+    still: Reference<'a>,
+    ring: &mut Ring,
+    (sigma, worth): (f64, f64),
+) -> Option<(Reference<'a>, f64)> {
+    let mut costs = [[f64::INFINITY; 2 * MOVE_MAX_PX as usize + 1]; 2 * MOVE_MAX_PX as usize + 1];
+    let (mut least, mut place) = (worth, None);
+    for (dy, row) in (-MOVE_MAX_PX..).zip(&mut costs) {
+        for (dx, slot) in (-MOVE_MAX_PX..).zip(row) {
+            let by = Vector2::new(f64::from(dx), f64::from(dy));
+            let (trial, cost) = dimmed(still.moved_by(by), ring, sigma);
+            *slot = cost;
+            if cost < least {
+                (least, place) = (cost, Some((dx, dy, trial)));
+            }
+        }
+    }
+    let (dx, dy, whole) = place?;
+    let cost = |dx: i32, dy: i32| {
+        let row = costs.get((dy + MOVE_MAX_PX) as usize);
+        row.and_then(|row| row.get((dx + MOVE_MAX_PX) as usize)).copied()
+    };
+    let part_x = vertex(cost(dx - 1, dy), least, cost(dx + 1, dy));
+    let part_y = vertex(cost(dx, dy - 1), least, cost(dx, dy + 1));
+    let by = Vector2::new(f64::from(dx) + part_x, f64::from(dy) + part_y);
+    let (finer, finer_cost) = dimmed(still.moved_by(by), ring, sigma);
+    Some(if finer_cost < least {
+        (finer, finer_cost)
+    } else {
+        (whole, least)
+    })
 }
 
 /// Where a parabola through three costs one pixel apart is lowest, −½ to ½.
@@ -227,24 +251,27 @@ fn vertex(before: Option<f64>, here: f64, after: Option<f64>) -> f64 {
     }
 }
 
-/// Sets the reference's gain to the ring's median ratio and gives the mean squared mismatch left, levels².
-fn dim(patch: &Patch<'_>, reference: &mut Reference<'_>, ring: &[(usize, usize)], sigma: f64) -> f64 {
+/// The reference with the gain that the ring shows, and the mean squared mismatch left, levels².
+fn dimmed<'a>(mut reference: Reference<'a>, ring: &mut Ring, sigma: f64) -> (Reference<'a>, f64) {
     reference.gain = 1.0;
-    let mut pairs: Vec<(f64, f64)> = Vec::with_capacity(ring.len());
-    for (x, y) in ring {
-        let level = patch.current.get(y * patch.width + x);
-        if let (Some(current), Some(behind)) = (level, reference.at(*x, *y)) {
-            pairs.push((f64::from(*current), behind));
-        }
-    }
+    let Ring {
+        places,
+        pairs,
+        differences,
+    } = ring;
+    pairs.clear();
+    let behind = |(x, y, level): &(usize, usize, f64)| Some((*level, reference.at(*x, *y)?));
+    pairs.extend(places.iter().filter_map(behind));
     if pairs.len() < RING_MIN {
-        return f64::INFINITY;
+        return (reference, f64::INFINITY);
     }
     let mean = pairs.iter().map(|(_, b)| b).sum::<f64>() / pairs.len() as f64;
     // The mean of the differences that are no larger than noise and a few levels: whole levels have no fine median.
-    let mut differences: Vec<f64> = pairs.iter().map(|(c, b)| c - b).collect();
-    differences.sort_by(f64::total_cmp);
-    let middle = differences.get(differences.len() / 2).copied().unwrap_or(0.0);
+    differences.clear();
+    differences.extend(pairs.iter().map(|(c, b)| c - b));
+    let half = differences.len() / 2;
+    let (_, middle, _) = differences.select_nth_unstable_by(half, f64::total_cmp);
+    let middle = *middle;
     let (sum, count) = differences
         .iter()
         .filter(|d| (*d - middle).abs() < 2.5 * sigma)
@@ -256,7 +283,7 @@ fn dim(patch: &Patch<'_>, reference: &mut Reference<'_>, ring: &[(usize, usize)]
         .iter()
         .map(|(c, b)| (c - b * reference.gain).powi(2).min(clip))
         .sum();
-    squares / pairs.len() as f64
+    (reference, squares / pairs.len() as f64)
 }
 
 /// Sum of the change of the nine pixels around the start: positive for a ball brighter than the background.

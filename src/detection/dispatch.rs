@@ -173,6 +173,11 @@ dispatched!(
     linearise(pixels: &PixelLanes, look: &Look<'_>) -> Sums
 );
 dispatched!(
+    kernel:
+    /// See [`kernel::locate`].
+    locate(pixels: &PixelLanes, look: &Look<'_>) -> Sums
+);
+dispatched!(
     packing:
     /// See [`packing::unpack`].
     unpack(packing: Packing, packed: &[u8], levels: &mut [u8])

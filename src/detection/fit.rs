@@ -26,8 +26,11 @@ const DRIFT_SIGMA: f64 = 0.7;
 const OWN_STEPS_MAX: usize = 10;
 /// ... while the shared parameters still move.
 const OWN_STEPS_POOLED: usize = 3;
-/// Converged when the centre moves less than this, pixels.
+/// Converged when the centre would move less than this, pixels, and the level by less than this share.
 const STEP_MIN_PX: f64 = 0.002;
+const STEP_MIN_SHARE: f64 = 0.002;
+/// The shared parameters are found when a step gains less than this share of the cost.
+const GAIN_MIN: f64 = 1e-4;
 /// The picture is never better than this share of the ball's contrast (optics, seams, steps of the light).
 const MODEL_ERROR_SHARE: f64 = 0.02;
 /// Residuals beyond this many σ count linearly.
@@ -44,7 +47,8 @@ const RADIUS_SIGMA_SHARE: f64 = 0.7;
 
 /// Shared parameters as a vector.
 pub type SharedVector = SVector<f64, SHARED>;
-type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
+/// A matrix over the shared parameters.
+pub type SharedMatrix = SMatrix<f64, SHARED, SHARED>;
 
 /// What all frames of a track share.
 #[derive(Debug, Clone, Copy)]
@@ -97,6 +101,21 @@ impl Shared {
         self.values[0] / (1.0 + self.values[1] * place).max(0.2)
     }
 
+    /// The same ball over another stretch of its flight: the place `middle` becomes its middle (place 0), and it is
+    /// `stretch` times as long. 1/r and the light are linear in place.
+    pub fn over(&self, middle: f64, stretch: f64) -> Self {
+        let mut over = *self;
+        let by_middle = (1.0 + self.values[1] * middle).max(0.2);
+        over.values[0] = self.values[0] / by_middle;
+        over.values[1] = self.values[1] * stretch / by_middle;
+        for i in 0..DRIFTS {
+            over.values[3 + DRIFTING + i] += middle * self.values[DRIFT + i];
+            over.values[DRIFT + i] *= stretch;
+        }
+        over.clamp();
+        over
+    }
+
     fn fill(&self, place: f64, own: &Vector3<f64>) -> Parameters {
         let mut parameters = Parameters::zeros();
         parameters.fixed_rows_mut::<OWN>(0).copy_from(own);
@@ -119,7 +138,7 @@ impl Shared {
 }
 
 /// One frame's pixels and its own parameters.
-#[derive(Clone)]
+#[derive(Debug, Clone)]
 pub struct Picture {
     pixels: PixelLanes,
     sweep: Sweep,
@@ -128,6 +147,8 @@ pub struct Picture {
     reach_px: f64,
     model_variance: f64,
     own: Vector3<f64>,
+    /// How the own parameters follow the shared ones.
+    follow: SMatrix<f64, OWN, SHARED>,
     chi2: f64,
     say: f64,
 }
@@ -143,6 +164,13 @@ pub struct PictureStart {
     pub radius_px: f64,
     /// Place in the track, −½ at its begin, ½ at its end.
     pub place: f64,
+}
+
+impl PictureStart {
+    /// Farthest that the fit may move the centre, pixels.
+    fn reach_px(&self) -> f64 {
+        self.radius_px + 0.5 * self.streak_px.norm() + 1.0
+    }
 }
 
 /// A fitted centre.
@@ -170,27 +198,50 @@ impl Picture {
         let level = near.0 / f64::max(near.1, 1.0);
         Some(Self {
             pixels: PixelLanes::new(&observations),
-            sweep: Sweep::new(start.streak_px),
+            sweep: Sweep::new(start.streak_px, edge.sigma_px),
             place: start.place,
             start_px: start.centre_px,
-            reach_px: start.radius_px + 0.5 * start.streak_px.norm() + 1.0,
+            reach_px: start.reach_px(),
             model_variance: (MODEL_ERROR_SHARE * contrast).powi(2),
             own: Vector3::new(start.centre_px.x, start.centre_px.y, level.max(1.0) / 1.2),
+            follow: SMatrix::zeros(),
             chi2: 1.0,
             say: 1.0,
         })
     }
 
-    fn linearise(&self, own: &Vector3<f64>, shared: &Shared, edge: &Edge) -> Sums {
+    /// For an edge of another blur.
+    pub fn blur(&mut self, edge: &Edge) {
+        self.sweep = Sweep::new(self.sweep.streak_px, edge.sigma_px);
+    }
+
+    /// The same pixels for another place in the track, and the streak as it is known there; `None` where the ball that
+    /// chose them was another by more than `change_max_px`.
+    pub fn moved_to(&self, start: &PictureStart, edge: &Edge, change_max_px: f64) -> Option<Self> {
+        let reach_px = start.reach_px();
+        ((reach_px - self.reach_px).abs() < change_max_px).then(|| Self {
+            sweep: Sweep::new(start.streak_px, edge.sigma_px),
+            place: start.place,
+            ..self.clone()
+        })
+    }
+
+    /// Sums over the pixels: for all parameters, or for the own ones alone at half the cost.
+    fn sums(&self, own: &Vector3<f64>, (shared, edge): (&Shared, &Edge), all: bool) -> Sums {
         let parameters = shared.fill(self.place, own);
         let noise = (self.model_variance, HUBER_SIGMAS);
         let look = Look::new(&parameters, (&self.sweep, edge), noise);
-        edge.kernels.linearise(&self.pixels, &look)
+        if all {
+            edge.kernels.linearise(&self.pixels, &look)
+        } else {
+            edge.kernels.locate(&self.pixels, &look)
+        }
     }
 
     /// Finds centre and level for given shared parameters; gives the final linearisation.
     fn solve_own(&mut self, shared: &Shared, edge: &Edge, steps_max: usize) -> Option<Sums> {
-        let mut state = self.linearise(&self.own, shared, edge);
+        let mut state = self.sums(&self.own, (shared, edge), true);
+        let mut moved = false;
         let mut damping = 1e-3;
         for _ in 0..steps_max {
             let mut block: Matrix3<f64> = state.information.fixed_view::<OWN, OWN>(0, 0).into_owned();
@@ -200,15 +251,16 @@ impl Picture {
             let step = block
                 .cholesky()?
                 .solve(&state.gradient.fixed_rows::<OWN>(0).into_owned());
+            if step.xy().norm() < STEP_MIN_PX && step[LEVEL].abs() < STEP_MIN_SHARE * self.own[LEVEL] {
+                break;
+            }
             let trial = self.own + step;
-            let next = self.linearise(&trial, shared, edge);
+            let next = self.sums(&trial, (shared, edge), false);
             if next.cost <= state.cost {
                 self.own = trial;
                 state = next;
+                moved = true;
                 damping = (damping * 0.2).max(1e-9);
-                if step[0].hypot(step[1]) < STEP_MIN_PX {
-                    break;
-                }
             } else {
                 damping *= 8.0;
                 if damping > 1e5 {
@@ -216,9 +268,12 @@ impl Picture {
                 }
             }
         }
+        if moved {
+            state = self.sums(&self.own, (shared, edge), true);
+        }
         self.chi2 = state.squares / (state.used - 3.0).max(1.0);
-        let moved = (self.own.xy() - self.start_px).norm();
-        (moved.is_finite() && moved < self.reach_px && self.own[LEVEL] > 0.0).then_some(state)
+        let away = (self.own.xy() - self.start_px).norm();
+        (away.is_finite() && away < self.reach_px && self.own[LEVEL] > 0.0).then_some(state)
     }
 
     /// ∂(frame's shared parameters)/∂(track's shared parameters): radius by radius and growth.
@@ -244,19 +299,29 @@ struct Pooled {
     cost: f64,
 }
 
-fn pool(pictures: &mut [Picture], shared: &Shared, edge: &Edge) -> Pooled {
+/// Every frame's own parameters for these shared ones; `None` where the picture is not a ball's.
+fn look(pictures: &mut [Picture], shared: &Shared, edge: &Edge) -> Vec<Option<Sums>> {
+    let solve = |picture: &mut Picture| {
+        let before = picture.own;
+        let sums = picture.solve_own(shared, edge, OWN_STEPS_POOLED);
+        if sums.is_none() {
+            picture.own = before;
+        }
+        sums
+    };
+    pictures.iter_mut().map(solve).collect()
+}
+
+fn pool(pictures: &mut [Picture], looks: &[Option<Sums>], shared: &Shared) -> Pooled {
     let off = shared.values - shared.prior;
     let mut pooled = Pooled {
         information: SharedMatrix::from_diagonal(&shared.weights),
         gradient: -off.component_mul(&shared.weights),
         cost: 0.5 * off.component_mul(&off).dot(&shared.weights),
     };
-    for picture in pictures {
-        let before = picture.own;
-        let Some(normal) = picture.solve_own(shared, edge, OWN_STEPS_POOLED) else {
-            picture.own = before;
-            continue;
-        };
+    for (picture, look) in pictures.iter_mut().zip(looks) {
+        picture.follow = SMatrix::zeros();
+        let Some(normal) = look else { continue };
         let own: Matrix3<f64> = normal.information.fixed_view::<OWN, OWN>(0, 0).into_owned();
         let Some(inverse) = own.try_inverse() else {
             continue;
@@ -269,6 +334,7 @@ fn pool(pictures: &mut [Picture], shared: &Shared, edge: &Edge) -> Pooled {
         let own_gradient = normal.gradient.fixed_rows::<OWN>(0);
         let rest_gradient = chain.transpose() * normal.gradient.fixed_rows::<{ PARAMETERS - OWN }>(OWN);
         let say = picture.say;
+        picture.follow = -(inverse * cross);
         let eliminated = cross.transpose() * inverse;
         pooled.information += (chain.transpose() * rest * chain - eliminated * cross) * say;
         pooled.gradient += (rest_gradient - eliminated * own_gradient) * say;
@@ -294,9 +360,9 @@ pub fn fit_shared(
     edge: &Edge,
     steps_max: usize,
 ) -> Option<(SharedMatrix, f64)> {
-    pool(pictures, shared, edge);
+    let looks = look(pictures, shared, edge);
     weigh(pictures);
-    let mut state = pool(pictures, shared, edge);
+    let mut state = pool(pictures, &looks, shared);
     let mut damping = 1e-2;
     for _ in 0..steps_max {
         let mut damped = state.information;
@@ -307,19 +373,23 @@ pub fn fit_shared(
         let mut trial = *shared;
         trial.values += step;
         trial.clamp();
-        let kept: Vec<Vector3<f64>> = pictures.iter().map(|p| p.own).collect();
-        let next = pool(pictures, &trial, edge);
+        let kept: Vec<_> = pictures.iter().map(|p| (p.own, p.follow)).collect();
+        for picture in pictures.iter_mut() {
+            picture.own += picture.follow * (trial.values - shared.values);
+        }
+        let looks = look(pictures, &trial, edge);
+        let next = pool(pictures, &looks, &trial);
         if next.cost <= state.cost {
             let gain = state.cost - next.cost;
             *shared = trial;
             state = next;
             damping = (damping * 0.2).max(1e-9);
-            if gain < 3e-4 * state.cost.max(1.0) {
+            if gain < GAIN_MIN * state.cost.max(1.0) {
                 break;
             }
         } else {
-            for (picture, own) in pictures.iter_mut().zip(kept) {
-                picture.own = own;
+            for (picture, (own, follow)) in pictures.iter_mut().zip(kept) {
+                (picture.own, picture.follow) = (own, follow);
             }
             damping *= 8.0;
             if damping > 1e4 {

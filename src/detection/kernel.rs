@@ -3,7 +3,7 @@
 //! All arithmetic is on bytes with saturation, so every instruction set gives the same bits.
 
 use super::dispatch;
-pub use super::lanes::linearise;
+pub use super::lanes::{linearise, locate};
 
 /// Columns of a tile.
 pub const TILE_WIDTH_PX: usize = 32;

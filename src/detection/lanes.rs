@@ -9,8 +9,8 @@
 use nalgebra::Vector2;
 
 use super::disc::{
-    EDGE_REACH_SIGMAS, EDGE_STEPS_PER_PX, Edge, Information, LEVEL, LIGHT, PARAMETERS, Parameters, RADIUS,
-    RIM_DEPTH_MIN, STREAK_SCALE, Sweep, TERMS,
+    EDGE_REACH_SIGMAS, EDGE_STEPS_PER_PX, Edge, Information, LEVEL, LIGHT, OWN, PARAMETERS, Parameters,
+    RADIUS, RIM_DEPTH_MIN, STREAK_SCALE, Sweep, TERMS,
 };
 
 /// Pixels side by side.
@@ -31,7 +31,7 @@ pub struct Observation {
 }
 
 /// Eight pixels.
-#[derive(Clone)]
+#[derive(Debug, Clone)]
 struct Block {
     x: Lane,
     y: Lane,
@@ -42,7 +42,7 @@ struct Block {
 }
 
 /// The pixels of a picture in eights; the last block is filled up with pixels of no weight.
-#[derive(Clone)]
+#[derive(Debug, Clone)]
 pub struct PixelLanes {
     blocks: Vec<Block>,
 }
@@ -144,6 +144,18 @@ struct Seen {
 /// Linearises a picture about the parameters of `look`.
 #[inline(always)]
 pub fn linearise(pixels: &PixelLanes, look: &Look<'_>) -> Sums {
+    sums::<true>(pixels, look)
+}
+
+/// As [`linearise`] for the frame's own parameters alone; what concerns the others is left zero.
+#[inline(always)]
+pub fn locate(pixels: &PixelLanes, look: &Look<'_>) -> Sums {
+    sums::<false>(pixels, look)
+}
+
+#[inline(always)]
+fn sums<const ALL: bool>(pixels: &PixelLanes, look: &Look<'_>) -> Sums {
+    let parameters = if ALL { PARAMETERS } else { OWN };
     let mut sums = Sums {
         information: Information::zeros(),
         gradient: Parameters::zeros(),
@@ -154,7 +166,7 @@ pub fn linearise(pixels: &PixelLanes, look: &Look<'_>) -> Sums {
     let mut information = [[[0.0; LANES]; PARAMETERS]; PARAMETERS];
     let mut gradient = [[0.0; LANES]; PARAMETERS];
     for block in &pixels.blocks {
-        let seen = see(block, look);
+        let seen = see::<ALL>(block, look);
         let (mut weight, mut pull) = ([0.0; LANES], [0.0; LANES]);
         for l in 0..block.count.min(LANES) {
             if seen.coverage[l] <= 0.0 {
@@ -172,21 +184,21 @@ pub fn linearise(pixels: &PixelLanes, look: &Look<'_>) -> Sums {
             sums.squares += robust * squared;
             sums.used += 1.0;
         }
-        for i in 0..PARAMETERS {
+        for i in 0..parameters {
             for l in 0..LANES {
                 gradient[i][l] += seen.gradient[i][l] * pull[l];
             }
             let weighted: Lane = std::array::from_fn(|l| seen.gradient[i][l] * weight[l]);
-            for j in i..PARAMETERS {
+            for j in i..parameters {
                 for l in 0..LANES {
                     information[i][j][l] += weighted[l] * seen.gradient[j][l];
                 }
             }
         }
     }
-    for i in 0..PARAMETERS {
+    for i in 0..parameters {
         sums.gradient[i] = gradient[i].iter().sum();
-        for j in i..PARAMETERS {
+        for j in i..parameters {
             let sum = information[i][j].iter().sum();
             sums.information[(i, j)] = sum;
             sums.information[(j, i)] = sum;
@@ -239,16 +251,15 @@ fn rims(edge: &Edge, inside_px: &Lane) -> Rims {
 }
 
 #[inline(always)]
-fn see(block: &Block, look: &Look<'_>) -> Seen {
+fn see<const ALL: bool>(block: &Block, look: &Look<'_>) -> Seen {
     let p = look.parameters;
     let (radius, level, scale) = (p[RADIUS], p[LEVEL], p[STREAK_SCALE]);
     let per_radius = 1.0 / radius;
     let light: [f64; TERMS] = std::array::from_fn(|i| p[LIGHT + i]);
-    let share = 1.0 / look.sweep.instants as f64;
     let (mut excess, mut coverage) = ([0.0; LANES], [0.0; LANES]);
     let mut gradient = [[0.0; LANES]; PARAMETERS];
-    for step in 0..look.sweep.instants {
-        let moved = look.sweep.streak_px * ((step as f64 + 0.5) * share - 0.5);
+    for (instant, share) in &look.sweep.instants {
+        let moved = look.sweep.streak_px * *instant;
         let rx: Lane = std::array::from_fn(|l| block.x[l] - p[0] - moved.x * scale);
         let ry: Lane = std::array::from_fn(|l| block.y[l] - p[1] - moved.y * scale);
         let distance: Lane = std::array::from_fn(|l| (rx[l] * rx[l] + ry[l] * ry[l]).sqrt());
@@ -268,7 +279,7 @@ fn see(block: &Block, look: &Look<'_>) -> Seen {
             let shine = shine(u, v, &light, look);
             let s = level * shine.value;
             let (s_u, s_v) = (level * shine.by_u * per_radius, level * shine.by_v * per_radius);
-            let (d, slope) = (rim.coverage[l], rim.slope[l]);
+            let (d, slope) = (share * rim.coverage[l], share * rim.slope[l]);
             let lift = s - block.background[l];
             excess[l] += d * lift;
             coverage[l] += d;
@@ -280,6 +291,9 @@ fn see(block: &Block, look: &Look<'_>) -> Seen {
             gradient[0][l] += by_x;
             gradient[1][l] += by_y;
             gradient[LEVEL][l] += d * shine.value;
+            if !ALL {
+                continue;
+            }
             gradient[RADIUS][l] += lift * slope * look.edge_by_radius
                 + d * (outward * (1.0 - rim.follow[l]) * look.edge_by_radius
                     - (s_u * u + s_v * v)
@@ -291,13 +305,8 @@ fn see(block: &Block, look: &Look<'_>) -> Seen {
             }
         }
     }
-    for row in &mut gradient {
-        for g in row {
-            *g *= share;
-        }
-    }
     Seen {
-        value: std::array::from_fn(|l| block.background[l] + share * excess[l]),
+        value: std::array::from_fn(|l| block.background[l] + excess[l]),
         coverage,
         gradient,
     }
@@ -417,7 +426,7 @@ pub fn one_pixel(
         variance: 1.0,
     };
     let pixels = PixelLanes::new(&[observation]);
-    let seen = see(
+    let seen = see::<true>(
         &pixels.blocks[0],
         &Look::new(parameters, (sweep, edge), (0.0, 2.5)),
     );
@@ -452,7 +461,7 @@ mod tests {
         ] {
             p[i] = value;
         }
-        let (sweep, edge) = (Sweep::new(Vector2::new(2.0, 1.0)), Edge::new(0.5));
+        let (sweep, edge) = (Sweep::new(Vector2::new(2.0, 1.0), 0.5), Edge::new(0.5));
         let observations: Vec<Observation> = (0..11)
             .map(|k| Observation {
                 at: Vector2::new(f64::from(k), 5.0),
@@ -470,6 +479,19 @@ mod tests {
             cost += alone.cost;
             used += alone.used;
         }
+        let own = locate(&PixelLanes::new(&observations), &look);
+        assert_eq!(
+            (own.cost, own.squares, own.used),
+            (together.cost, together.squares, together.used)
+        );
+        assert_eq!(
+            own.gradient.fixed_rows::<OWN>(0),
+            together.gradient.fixed_rows::<OWN>(0)
+        );
+        assert_eq!(
+            own.information.fixed_view::<OWN, OWN>(0, 0),
+            together.information.fixed_view::<OWN, OWN>(0, 0)
+        );
         assert!((together.gradient - gradient).norm() < 1e-9 * gradient.norm());
         assert!((together.cost - cost).abs() < 1e-9 * cost && together.used == used && used > 5.0);
     }

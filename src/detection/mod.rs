@@ -13,6 +13,7 @@
 mod adaptation_tests;
 mod background;
 mod blobs;
+mod blur;
 mod candidates;
 mod centroid;
 mod config;
@@ -33,8 +34,10 @@ mod patches;
 mod path;
 mod refine;
 mod regions;
+mod running;
 mod tiles;
 
+pub use blur::BlurChoice;
 pub use config::{DetectorConfig, PixelRect};
 pub use detector::{Answers, Detector, DetectorCounters, ExpectedBall};
 pub use dispatch::{Isa, Kernels};

@@ -54,6 +54,7 @@ pub struct Patch<'a> {
 }
 
 /// The arena.
+#[derive(Debug, Clone)]
 pub struct PatchPool {
     bytes: Vec<u8>,
     headers: VecDeque<Header>,

@@ -8,12 +8,25 @@ use crate::tracking::{OpenPath, TrackKind, TrackedBall, Tracker, TrackerCounters
 /// A ball that was missed in so many frames has most likely ended; the path is given up after some more.
 const ENDING_FRAMES: f64 = 3.0;
 
+/// A ball that flies is told of when it has been seen this often, and again every so many times.
+const FLYING_POINTS: (usize, usize) = (48, 16);
+
 /// A ball whose path has ended, with the cut-outs of its points if it may be a pitch.
 pub struct EndedBall {
     /// Its path by the first look.
     pub ball: TrackedBall,
     /// What it looked like in every frame.
     pub cut_outs: Option<CutOuts>,
+}
+
+/// A ball that still flies, with the cut-outs of its points so far.
+pub struct FlyingBall {
+    /// Whose ball.
+    pub camera: CameraId,
+    /// Its path so far.
+    pub path: OpenPath,
+    /// What it looked like in every frame.
+    pub cut_outs: CutOuts,
 }
 
 /// How far a camera's balls move between frames at their slowest, and how long they are along their motion.
@@ -27,8 +40,11 @@ pub struct BallStep {
 
 /// Detector and tracker of one camera.
 pub struct FirstLook {
+    camera: CameraId,
     detector: Detector,
     tracker: Tracker,
+    /// Newest frame of the balls in flight that were told of.
+    flying_told: Option<u64>,
     ended: Vec<EndedBall>,
 }
 
@@ -65,7 +81,9 @@ impl FirstLook {
     pub fn new(camera: CameraId, config: &EyeConfig, width_px: u32, height_px: u32) -> Self {
         Self {
             detector: Detector::new(config.detector.clone(), width_px, height_px),
-            tracker: Tracker::new(camera, config.tracker.clone()),
+            tracker: Tracker::new(camera.clone(), config.tracker.clone()),
+            camera,
+            flying_told: None,
             ended: Vec::new(),
         }
     }
@@ -110,6 +128,26 @@ impl FirstLook {
                 ball,
             })
             .collect()
+    }
+
+    /// Balls in flight of which enough is new since they were told of.
+    pub fn flying(&mut self) -> Vec<FlyingBall> {
+        let (first, every) = FLYING_POINTS;
+        let due = |path: &OpenPath| {
+            path.newest_frame() > self.flying_told
+                && path.points() >= first
+                && (path.points() - first).is_multiple_of(every)
+        };
+        let mut paths = self.tracker.open();
+        paths.retain(due);
+        let newest = paths.iter().filter_map(OpenPath::newest_frame).max();
+        self.flying_told = newest.max(self.flying_told);
+        let told = paths.into_iter().map(|path| FlyingBall {
+            cut_outs: self.detector.cut_outs(&path.track(&self.camera)),
+            camera: self.camera.clone(),
+            path,
+        });
+        told.collect()
     }
 
     /// The likeliest balls in flight.

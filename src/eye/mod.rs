@@ -7,7 +7,7 @@
 mod first_look;
 mod second_look;
 
-pub use first_look::{BallStep, EndedBall, FirstLook};
+pub use first_look::{BallStep, EndedBall, FirstLook, FlyingBall};
 pub use second_look::SecondLook;
 
 use crate::detection::{DetectionError, DetectorConfig, DetectorCounters};
@@ -70,6 +70,9 @@ impl CameraEye {
     }
 
     fn look_again(&mut self) {
+        for flying in self.first.flying() {
+            self.second.look_ahead(&flying);
+        }
         for ended in self.first.drain() {
             let (ball, step) = self.second.look(ended);
             if let Some(step) = step {

@@ -1,8 +1,8 @@
 //! The second look: refines the centres of what may be a pitch, and judges again. Another thread may do it.
 
 use super::EyeConfig;
-use super::first_look::{BallStep, EndedBall};
-use crate::detection::Refiner;
+use super::first_look::{BallStep, EndedBall, FlyingBall};
+use crate::detection::{BlurChoice, Refiner};
 use crate::scene::Track;
 use crate::tracking::{TrackKind, TrackShape, TrackedBall, TrackerConfig, polish, vote};
 
@@ -28,7 +28,7 @@ struct Early {
     by_first_look: Track,
     ball: TrackedBall,
     step: Option<BallStep>,
-    refiner: Refiner,
+    blur: Option<BlurChoice>,
 }
 
 /// Early looks kept.
@@ -45,13 +45,18 @@ impl SecondLook {
         }
     }
 
+    /// Looks at a ball that still flies: when its path has ended most of the work is done.
+    pub fn look_ahead(&mut self, flying: &FlyingBall) {
+        if let Some(track) = flying.path.flight(&flying.camera, &self.tracker_config) {
+            self.refiner.look_ahead(&flying.cut_outs, &track);
+        }
+    }
+
     /// Looks at a ball whose path will most likely end as it is: [`Self::look`] then answers at once. Where it does not
     /// end so, nothing has happened.
     pub fn look_early(&mut self, ended: EndedBall) {
         let by_first_look = ended.ball.track.clone();
-        let before = self.refiner.clone();
-        let (ball, step) = self.look_now(ended);
-        let refiner = std::mem::replace(&mut self.refiner, before);
+        let (ball, step, blur) = self.look_now(ended);
         if self.early.len() >= EARLY_MAX {
             self.early.remove(0);
         }
@@ -59,7 +64,7 @@ impl SecondLook {
             by_first_look,
             ball,
             step,
-            refiner,
+            blur,
         });
     }
 
@@ -67,27 +72,27 @@ impl SecondLook {
     /// first look should know of this camera's balls.
     pub fn look(&mut self, ended: EndedBall) -> (TrackedBall, Option<BallStep>) {
         let same = |early: &Early| early.by_first_look.points == ended.ball.track.points;
-        if let Some(at) = self.early.iter().position(same) {
-            let Early {
-                mut ball,
-                step,
-                refiner,
-                ..
-            } = self.early.remove(at);
-            self.early.clear();
-            self.refiner = refiner;
-            ball.track.track = ended.ball.track.track;
-            return (ball, step);
-        }
+        let early = self.early.iter().position(same).map(|at| self.early.remove(at));
         self.early.clear();
-        self.look_now(ended)
+        let number = ended.ball.track.track;
+        let (mut ball, step, blur) = match early {
+            Some(early) => (early.ball, early.step, early.blur),
+            None => self.look_now(ended),
+        };
+        ball.track.track = number;
+        if let Some(blur) = blur {
+            self.refiner.learn(blur);
+        }
+        (ball, step)
     }
 
-    fn look_now(&mut self, ended: EndedBall) -> (TrackedBall, Option<BallStep>) {
+    fn look_now(&self, ended: EndedBall) -> (TrackedBall, Option<BallStep>, Option<BlurChoice>) {
         let EndedBall { mut ball, cut_outs } = ended;
+        let mut learnt = None;
         if let Some(cut_outs) = &cut_outs
-            && let Some(refinement) = self.refiner.refine(cut_outs, &mut ball.track)
+            && let Some((refinement, blur)) = self.refiner.refine(cut_outs, &mut ball.track)
         {
+            learnt = Some(blur);
             tracing::debug!(camera = %ball.track.camera, points = ball.track.points.len(), ?refinement, "refined");
             if let Some(polished) = polish(&ball.track, REFINED_FLOOR_PX) {
                 ball.track = polished;
@@ -106,7 +111,7 @@ impl SecondLook {
         let ends = ball.track.points.first().zip(ball.track.points.last());
         let frames = ends.map(|(first, last)| (first.frame, last.frame));
         tracing::debug!(camera = %ball.track.camera, kind = ?ball.kind, ?frames, shape = ?ball.shape, "moved");
-        (ball, step)
+        (ball, step, learnt)
     }
 
     /// The pitches among these balls. Which way this camera's pitches go is voted by all balls seen so far, so asking

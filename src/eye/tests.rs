@@ -130,10 +130,14 @@ fn a_look_before_the_end_is_the_look_after_it() {
         SecondLook::new(&config),
     );
     let mut eye = CameraEye::new(camera, config, 640, 240);
-    let (mut early, mut found) = (0, Vec::new());
+    let (mut ahead, mut early, mut found) = (0, 0, Vec::new());
     for frame in frames() {
         first.push(&frame).unwrap();
         eye.push(&frame).unwrap();
+        for flying in first.flying() {
+            second.look_ahead(&flying);
+            ahead += 1;
+        }
         for ending in first.ending() {
             second.look_early(ending);
             early += 1;
@@ -142,10 +146,36 @@ fn a_look_before_the_end_is_the_look_after_it() {
     }
     let tracks = |balls: Vec<TrackedBall>| balls.into_iter().map(|b| b.track).collect::<Vec<_>>();
     let (found, expected) = (tracks(found), tracks(eye.drain_balls()));
-    assert_eq!(early, 1);
+    assert_eq!((ahead, early), (1, 1));
     assert!(
         expected.len() == 1 && expected[0].points.len() > 40,
         "{expected:?}"
     );
     assert_eq!(found, expected);
+}
+
+#[test]
+fn a_ball_looked_at_in_flight_is_the_ball_looked_at_at_once() {
+    let config = EyeConfig::default();
+    let camera = CameraId::new("side").unwrap();
+    let mut first = FirstLook::new(camera, &config, 640, 240);
+    let (mut at_once, mut in_flight) = (SecondLook::new(&config), SecondLook::new(&config));
+    for frame in frames() {
+        first.push(&frame).unwrap();
+        for flying in first.flying() {
+            in_flight.look_ahead(&flying);
+        }
+        for ended in first.drain() {
+            let again = EndedBall {
+                ball: ended.ball.clone(),
+                cut_outs: ended.cut_outs.clone(),
+            };
+            let (one, other) = (at_once.look(ended).0.track, in_flight.look(again).0.track);
+            assert!(one.points.len() > 40 && one.points.len() == other.points.len());
+            for (a, b) in one.points.iter().zip(&other.points) {
+                let apart = (a.pixel.vector() - b.pixel.vector()).norm();
+                assert!(apart < 0.003, "frame {}: {apart} px apart", a.frame);
+            }
+        }
+    }
 }

@@ -18,16 +18,35 @@ pub struct OpenPath {
 }
 
 impl OpenPath {
+    /// Points so far.
+    pub fn points(&self) -> usize {
+        self.points.len()
+    }
+
+    /// Frame of the newest point.
+    pub fn newest_frame(&self) -> Option<u64> {
+        self.points.last().map(|p| p.detection.frame)
+    }
+
+    /// All of it, what the hand adds too. Its track number is the frame in which the path begins.
+    pub fn track(&self, camera: &CameraId) -> Track {
+        self.track_of(camera, &self.points)
+    }
+
+    fn track_of(&self, camera: &CameraId, points: &[Point]) -> Track {
+        let begin = self.points.first().map_or(0, |p| p.detection.frame);
+        Track {
+            camera: camera.clone(),
+            track: u32::try_from(begin & u64::from(u32::MAX)).unwrap_or(0),
+            points: points.iter().map(point_of).collect(),
+        }
+    }
+
     /// The part that flies freely, if that may be a pitch. Its track number is the frame in which the path begins.
     /// Dear (a curve for every point): not for the thread that searches the frames.
     pub fn flight(&self, camera: &CameraId, config: &TrackerConfig) -> Option<Track> {
         let free = free_flight(&self.points)?;
-        let begin = self.points.first()?.detection.frame;
-        let track = Track {
-            camera: camera.clone(),
-            track: u32::try_from(begin & u64::from(u32::MAX)).unwrap_or(0),
-            points: free.iter().map(point_of).collect(),
-        };
+        let track = self.track_of(camera, &free);
         let mut radii: Vec<f64> = free.iter().map(|p| p.detection.radius_px).collect();
         radii.sort_by(f64::total_cmp);
         let shape = TrackShape::measure(&track, radii.get(radii.len() / 2).copied()?)?;

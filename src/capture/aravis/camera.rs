@@ -9,7 +9,7 @@ use aravis::{Buffer, Camera};
 use crossbeam_channel::{Receiver, Sender, unbounded};
 
 use super::error::LiveError;
-use super::ffi::{PooledFrame, RawStream};
+use super::ffi::{PooledFrame, RawStream, touched_buffer};
 use super::frame_number::FrameNumber;
 use super::open;
 use super::options::LiveOptions;
@@ -147,7 +147,7 @@ impl LiveCamera {
             }
         }
         for _ in given..options.buffers {
-            live.stream.push(Buffer::new_allocate(live.payload_bytes));
+            live.stream.push(touched_buffer(live.payload_bytes));
         }
         memory.numbers = FrameNumber::after(memory.last_number);
         memory.clock.restart();

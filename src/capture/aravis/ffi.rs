@@ -100,6 +100,22 @@ impl RawStream {
     }
 }
 
+/// Memory for one frame, written to: pages that come one by one under the first frames cost the receive thread a
+/// second of them.
+pub fn touched_buffer(payload_bytes: usize) -> Buffer {
+    const PAGE_BYTES: usize = 4096;
+    let buffer = Buffer::new_allocate(payload_bytes);
+    // The size with it is of what was received: nothing yet.
+    let (bytes, _) = buffer.data();
+    if !bytes.is_null() {
+        for at in (0..payload_bytes).step_by(PAGE_BYTES) {
+            // SAFETY: the library has just allocated `payload_bytes` for this buffer, which nobody else knows of.
+            unsafe { ptr::write_volatile(bytes.add(at), 0) };
+        }
+    }
+    buffer
+}
+
 /// Makes the calling thread real-time (SCHED_RR), if the system allows it; answers whether it did.
 pub fn make_this_thread_realtime(priority: u8) -> bool {
     let priority = i32::from(priority).clamp(1, 99);
@@ -202,4 +218,21 @@ pub fn list_devices() -> Vec<ListedDevice> {
             protocol: text(aravis_sys::arv_get_device_protocol, i),
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_page_of_a_buffer_is_written_to() {
+        let payload_bytes = 3 * 4096 + 17;
+        let buffer = touched_buffer(payload_bytes);
+        let (bytes, received) = buffer.data();
+        assert!(!bytes.is_null() && received == 0);
+        for at in [0, 4096, 8192, 12288] {
+            // SAFETY: within the buffer, which was written to there.
+            assert_eq!(unsafe { *bytes.add(at) }, 0);
+        }
+    }
 }

@@ -1,0 +1,115 @@
+//! The blur of a camera's optics: the one that explains its balls best.
+
+use super::disc::Edge;
+use super::fit::{Picture, Shared, fit_shared};
+
+/// Blurs of the disc's edge that are tried (σ, pixels): pixel area alone to soft optics.
+pub const EDGE_SIGMAS_PX: [f64; 5] = [0.3, 0.42, 0.55, 0.7, 0.9];
+/// Points of a track that has a say in the blur.
+const BLUR_POINTS_MIN: usize = 45;
+/// ... and its costs do not differ by more than this from blur to blur (a ball: 1.3 to 1.8).
+const BLUR_RATIO_MAX: f64 = 2.2;
+/// Tracks on which all blurs are tried.
+const BLUR_TRACKS: usize = 4;
+/// Gauss–Newton steps of a trial.
+const STEPS: usize = 8;
+
+/// How well each blur has explained the tracks so far; the camera's optics do not change from pitch to pitch.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct BlurChoice {
+    costs: [f64; EDGE_SIGMAS_PX.len()],
+    tracks: usize,
+}
+
+impl BlurChoice {
+    /// Index of the likeliest blur tried.
+    fn best(&self) -> usize {
+        let costs = self.costs.iter().enumerate();
+        costs.min_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(i, _)| i)
+    }
+
+    /// The likeliest blur: where a parabola through the best and its neighbours is lowest.
+    fn sigma_px(&self) -> Option<f64> {
+        let best = self.best();
+        let middle = EDGE_SIGMAS_PX.get(best).copied()?;
+        let side =
+            |i: Option<usize>| i.and_then(|i| EDGE_SIGMAS_PX.get(i).copied().zip(self.costs.get(i).copied()));
+        let (Some((low, cost_low)), Some((high, cost_high))) =
+            (side(best.checked_sub(1)), side(Some(best + 1)))
+        else {
+            return Some(middle);
+        };
+        let cost = self.costs.get(best).copied()?;
+        let (a, b) = (
+            (middle - low) * (cost - cost_high),
+            (middle - high) * (cost - cost_low),
+        );
+        let shift = 0.5 * ((middle - low) * a - (middle - high) * b) / (a - b);
+        Some(if shift.is_finite() {
+            (middle - shift).clamp(low, high)
+        } else {
+            middle
+        })
+    }
+
+    /// Whether these costs are those of a ball: no blur explains it twice as well as another.
+    fn plausible(costs: &[f64]) -> bool {
+        let low = costs.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = costs.iter().copied().fold(0.0, f64::max);
+        high < BLUR_RATIO_MAX * low
+    }
+}
+
+/// Fits a few pictures of a track with every blur (later only with the best) and keeps the likeliest over all tracks.
+/// The pictures are of the same pixels for every blur, or their costs could not be compared.
+pub fn choose_edge(
+    mut pictures: Vec<Picture>,
+    first: &Shared,
+    points: usize,
+    blur: &mut BlurChoice,
+) -> Option<(Edge, Shared)> {
+    let settled = blur.tracks >= BLUR_TRACKS || (blur.tracks > 0 && points < BLUR_POINTS_MIN);
+    let mut found: [Option<(f64, Shared)>; EDGE_SIGMAS_PX.len()] = Default::default();
+    // From blur to blur the ball changes little: each begins where the last has ended.
+    let (mut held, mut released) = (*first, None::<Shared>);
+    for (index, sigma_px) in EDGE_SIGMAS_PX.iter().enumerate() {
+        if settled && index != blur.best() {
+            continue;
+        }
+        let edge = Edge::new(*sigma_px);
+        for picture in &mut pictures {
+            picture.blur(&edge);
+        }
+        // Held to the sphere alone the light would be matched by a wrong blur.
+        if fit_shared(&mut pictures, &mut held, &edge, STEPS).is_none() {
+            held = *first;
+            continue;
+        }
+        // What the light then makes of it only compares the blurs.
+        let compared = (!settled).then(|| {
+            let mut shared = released.unwrap_or(held);
+            shared.release_light();
+            let cost = fit_shared(&mut pictures, &mut shared, &edge, STEPS).map(|(_, cost)| cost);
+            released = Some(shared);
+            cost
+        });
+        if let (Some(cost), Some(slot)) = (compared.unwrap_or(Some(0.0)), found.get_mut(index)) {
+            *slot = Some((cost, held));
+        }
+    }
+    let mut total = *blur;
+    if !settled && found.iter().all(Option::is_some) {
+        for (sum, cost) in total.costs.iter_mut().zip(found.iter().flatten()) {
+            *sum += cost.0;
+        }
+        total.tracks += 1;
+        // Only a long track is surely a ball.
+        let own: Vec<f64> = found.iter().flatten().map(|f| f.0).collect();
+        if points >= BLUR_POINTS_MIN && BlurChoice::plausible(&own) {
+            *blur = total;
+        }
+    }
+    let best = total.best();
+    let (_, shared) = found.get(best).copied().flatten()?;
+    Some((Edge::new(total.sigma_px()?), shared))
+}
