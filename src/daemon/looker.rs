@@ -1,10 +1,12 @@
 //! One camera's second look: balls whose paths have ended in, tracks of pitched balls out. Its thread may take its time:
 //! the frames are searched by another.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Receiver, Sender};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TryRecvError};
 
 use super::health::CameraHealth;
 use crate::eye::{BallStep, EndedBall, EyeConfig, FlyingBall, SecondLook};
@@ -46,39 +48,104 @@ pub struct BallToLookAt {
     pub complete: ArrivalTime,
 }
 
-/// Runs until the eye ends.
+/// A ball in flight is told of again within this time; after it, other balls are no longer kept waiting for it.
+const FLIGHT_PATIENCE: Duration = Duration::from_millis(250);
+
+/// Runs until the eye ends. While a ball flies that has been looked at in flight, all else waits: what ends with a pitch
+/// (a bat, a glove, a runner) is dearer to look at than what is left of the pitch.
 pub fn look(
     balls: &Receiver<ToLook>,
     (tracks, steps): (&Sender<SeenTrack>, &Sender<BallStep>),
     config: &EyeConfig,
     health: &Arc<CameraHealth>,
 ) {
-    let mut second = SecondLook::new(config);
-    let mut numbers = 0;
-    for told in balls {
-        let ball = match told {
-            ToLook::Ball(ball) => *ball,
-            ToLook::Flying(flying) => {
-                second.look_ahead(&flying);
-                continue;
-            }
-            ToLook::Early(ending) => {
-                second.look_early(*ending);
-                continue;
-            }
-            ToLook::WatchedUntil(stamped) => {
-                health.watched_until_ns.store(stamped.nanos(), Ordering::Release);
-                continue;
-            }
+    let mut looker = Looker {
+        second: SecondLook::new(config),
+        tracks,
+        steps,
+        health,
+        numbers: 0,
+    };
+    let mut waiting: VecDeque<ToLook> = VecDeque::new();
+    let mut flying_until: Option<Instant> = None;
+    loop {
+        let told = match flying_until {
+            Some(until) => balls.recv_deadline(until),
+            None if waiting.is_empty() => balls.recv().map_err(|_| RecvTimeoutError::Disconnected),
+            None => balls.try_recv().map_err(|error| match error {
+                TryRecvError::Empty => RecvTimeoutError::Timeout,
+                TryRecvError::Disconnected => RecvTimeoutError::Disconnected,
+            }),
         };
-        let (looked_at, step) = second.look(ball.ended);
+        match told {
+            Ok(ToLook::Flying(flying)) => {
+                looker.second.look_ahead(&flying);
+                flying_until = Some(Instant::now() + FLIGHT_PATIENCE);
+            }
+            Ok(ToLook::Early(ending)) if looker.second.knows(&ending) || flying_until.is_none() => {
+                looker.second.look_early(*ending);
+            }
+            Ok(ToLook::Early(_)) => {}
+            Ok(ToLook::Ball(ball)) if looker.second.knows(&ball.ended) => {
+                looker.look_at(*ball);
+                flying_until = None;
+            }
+            Ok(other) => {
+                // How far has been watched: the newest says it all.
+                if matches!(
+                    (&other, waiting.back()),
+                    (ToLook::WatchedUntil(_), Some(ToLook::WatchedUntil(_)))
+                ) {
+                    waiting.pop_back();
+                }
+                waiting.push_back(other);
+            }
+            Err(RecvTimeoutError::Timeout) => flying_until = None,
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+        if flying_until.is_none()
+            && balls.is_empty()
+            && let Some(next) = waiting.pop_front()
+        {
+            looker.take(next);
+        }
+    }
+    for told in waiting {
+        looker.take(told);
+    }
+}
+
+struct Looker<'a> {
+    second: SecondLook,
+    tracks: &'a Sender<SeenTrack>,
+    steps: &'a Sender<BallStep>,
+    health: &'a CameraHealth,
+    /// Tracks so far.
+    numbers: u32,
+}
+
+impl Looker<'_> {
+    fn take(&mut self, told: ToLook) {
+        match told {
+            ToLook::Ball(ball) => self.look_at(*ball),
+            ToLook::WatchedUntil(stamped) => {
+                self.health
+                    .watched_until_ns
+                    .store(stamped.nanos(), Ordering::Release);
+            }
+            ToLook::Flying(_) | ToLook::Early(_) => {}
+        }
+    }
+
+    fn look_at(&mut self, ball: BallToLookAt) {
+        let (looked_at, step) = self.second.look(ball.ended);
         if let Some(step) = step {
             // The eye takes the next one if it has not taken the last.
-            let _ = steps.try_send(step);
+            let _ = self.steps.try_send(step);
         }
-        for mut track in second.pitches(vec![looked_at]) {
-            track.track = numbers;
-            numbers += 1;
+        for mut track in self.second.pitches(vec![looked_at]) {
+            track.track = self.numbers;
+            self.numbers += 1;
             for point in &mut track.points {
                 let at = ball
                     .stamps
@@ -87,17 +154,90 @@ pub fn look(
                     point.stamped = *stamped;
                 }
             }
-            health.tracks.fetch_add(1, Ordering::Relaxed);
+            self.health.tracks.fetch_add(1, Ordering::Relaxed);
             let seen = SeenTrack {
                 track,
                 clock_epoch: ball.clock_epoch,
                 complete: ball.complete,
             };
             // A dozen tracks a minute into a queue of 256: full only when the assembler is gone.
-            if tracks.send(seen).is_err() {
-                tracing::error!(camera = %health.camera, "a track found nobody to take it");
+            if self.tracks.send(seen).is_err() {
+                tracing::error!(camera = %self.health.camera, "a track found nobody to take it");
             }
         }
-        health.second_look.add_since_ns(ball.complete.nanos());
+        self.health.second_look.add_since_ns(ball.complete.nanos());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::watcher::LOOK_QUEUE;
+    use super::*;
+    use crate::detection::painter::{Ball, Canvas};
+    use crate::eye::FirstLook;
+    use crate::scene::CameraId;
+    use crossbeam_channel::bounded;
+
+    /// What an eye tells of one flight that begins at this frame.
+    fn flight(begin: u64) -> (FlyingBall, EndedBall) {
+        let config = EyeConfig::default();
+        let mut eye = FirstLook::new(CameraId::new("side").unwrap(), &config, 640, 240);
+        let stand = Canvas::stand(640, 240, 3, 40.0);
+        let (mut flying, mut ended) = (Vec::new(), Vec::new());
+        for number in 0..90u64 {
+            let mut canvas = stand.clone();
+            if (10..62).contains(&number) {
+                let t = number as f64 - 10.0;
+                canvas.ball(&Ball {
+                    centre: [20.0 + 8.5 * t, 90.0 + 0.6 * t + 0.011 * t * t],
+                    streak: [1.6, 0.2],
+                    radius: 3.2,
+                    light: 190.0,
+                    shade: 130.0,
+                    to_light: [0.2, -0.9, -0.3],
+                });
+            }
+            eye.push(&canvas.frame(begin + number, 175.0, 2.0)).unwrap();
+            flying.extend(eye.flying());
+            ended.extend(eye.drain());
+        }
+        (flying.remove(0), ended.remove(0))
+    }
+
+    fn to_look_at(ended: EndedBall) -> ToLook {
+        ToLook::Ball(Box::new(BallToLookAt {
+            ended,
+            stamps: Vec::new(),
+            clock_epoch: 0,
+            complete: ArrivalTime::from_nanos(1),
+        }))
+    }
+
+    #[test]
+    fn what_ends_beside_a_flight_waits_for_it() {
+        let ((_, beside), (flying, ended)) = (flight(0), flight(1000));
+        let beside_begins = beside.ball.track.points.first().unwrap().frame;
+        let watched = beside.ball.track.span().unwrap().1;
+        let (told, balls) = bounded(LOOK_QUEUE);
+        let (tracks_in, tracks) = bounded(8);
+        let (steps_in, _steps) = bounded(8);
+        for message in [
+            ToLook::Flying(Box::new(flying)),
+            to_look_at(beside),
+            ToLook::WatchedUntil(watched),
+            to_look_at(ended),
+        ] {
+            told.send(message).unwrap();
+        }
+        drop(told);
+        let health = Arc::new(CameraHealth::new(CameraId::new("side").unwrap()));
+        look(&balls, (&tracks_in, &steps_in), &EyeConfig::default(), &health);
+        let seen: Vec<u64> = tracks
+            .try_iter()
+            .map(|t| t.track.points.first().unwrap().frame)
+            .collect();
+        assert_eq!(seen.len(), 2);
+        assert!(seen[0] > 1000 && seen[1].abs_diff(beside_begins) <= 2, "{seen:?}");
+        assert_eq!(health.watched_until_ns.load(Ordering::Acquire), watched.nanos());
     }
 }

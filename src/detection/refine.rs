@@ -165,6 +165,11 @@ impl Refiner {
         self.running.push(running);
     }
 
+    /// Whether this track's ball was looked at while it flew.
+    pub fn knows(&self, track: &Track) -> bool {
+        self.running.iter().any(|running| running.is_of(track))
+    }
+
     fn fit(&self, pool: &PatchPool, track: &Track) -> Option<Fit> {
         let starts = starts(pool, self.exposure_s, track)?;
         let running = self.running.iter().find(|running| running.is_of(track));

@@ -52,6 +52,11 @@ impl SecondLook {
         }
     }
 
+    /// Whether most of the work on this ball has been done while it flew.
+    pub fn knows(&self, ended: &EndedBall) -> bool {
+        self.refiner.knows(&ended.ball.track)
+    }
+
     /// Looks at a ball whose path will most likely end as it is: [`Self::look`] then answers at once. Where it does not
     /// end so, nothing has happened.
     pub fn look_early(&mut self, ended: EndedBall) {
@@ -73,7 +78,6 @@ impl SecondLook {
     pub fn look(&mut self, ended: EndedBall) -> (TrackedBall, Option<BallStep>) {
         let same = |early: &Early| early.by_first_look.points == ended.ball.track.points;
         let early = self.early.iter().position(same).map(|at| self.early.remove(at));
-        self.early.clear();
         let number = ended.ball.track.track;
         let (mut ball, step, blur) = match early {
             Some(early) => (early.ball, early.step, early.blur),
