@@ -6,7 +6,10 @@ use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
+use pitchd::emulation::gvcp::{Command as Gvcp, Request};
 use pitchd::emulation::{Drill, Emulator, EmulatorOptions, Faults, Handing, ScriptShape, pattern};
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64;
 
 const SHAPE: ScriptShape = ScriptShape {
     width_px: 320,
@@ -198,7 +201,7 @@ fn frames_arrive_whole_and_lost_packets_are_sent_again() {
             }
         }
     }
-    assert_eq!(image, expected.pixels.to_vec());
+    assert!(image == expected.pixels.to_vec(), "the image that was sent");
     assert!(
         (1_000_000_000_000..1_010_000_000_000).contains(&leader_ticks),
         "{leader_ticks}"
@@ -209,7 +212,10 @@ fn frames_arrive_whole_and_lost_packets_are_sent_again() {
     while again.len() < 2 {
         let (block, _, number, data) = client.packet().unwrap();
         if block == 1 {
-            assert_eq!(data, image[(number as usize - 1) * 1464..][..1464]);
+            assert!(
+                data == image[(number as usize - 1) * 1464..][..1464],
+                "packet {number}"
+            );
             again.push(number);
         }
     }
@@ -279,4 +285,121 @@ fn drills_freeze_silence_and_reboot_the_camera() {
     assert_eq!(client.write(0x944, 2), 0);
     let ticks = u64::from(client.read(0x948)) << 32 | u64::from(client.read(0x94c));
     assert!(ticks < 5_000_000_000, "its clock began anew: {ticks}");
+}
+
+/// A command of any kind, perhaps spoilt; none that sends the stream anywhere but here.
+fn any_command(random: &mut Pcg64) -> Vec<u8> {
+    let word = [0x02, 0x40, 0x80, 0x82, 0x84, 0x86, random.random::<u16>()][random.random_range(0..7)];
+    let addresses: [u32; 12] = [
+        0,
+        0x200,
+        0x938,
+        0x944,
+        0xa00,
+        0xd00,
+        0xd04,
+        0x100_0000,
+        0x2_0000,
+        0x2_0018,
+        0x2_0020,
+        random.random(),
+    ];
+    let mut payload = Vec::new();
+    for _ in 0..random.random_range(0..40) {
+        let near = addresses[random.random_range(0..addresses.len())];
+        let number: u32 = [
+            near,
+            near.wrapping_add(4),
+            random.random_range(0..600),
+            random.random(),
+        ][random.random_range(0..4)];
+        payload.extend(number.to_be_bytes());
+    }
+    let mut packet = vec![0x42, random.random_range(0..2)];
+    for number in [word, payload.len() as u16, random.random_range(1..9)] {
+        packet.extend(number.to_be_bytes());
+    }
+    packet.extend(payload);
+    match random.random_range(0..4) {
+        0 => packet.truncate(random.random_range(0..packet.len() + 1)),
+        1 => {
+            for _ in 0..random.random_range(1..5) {
+                let at = random.random_range(0..packet.len());
+                packet[at] = random.random();
+            }
+        }
+        2 => packet.extend(vec![0xff; random.random_range(0..1400)]),
+        _ => {}
+    }
+    let goes_elsewhere = match Gvcp::parse(&packet).map(|c| c.request) {
+        Some(Request::WriteRegisters(writes)) => writes.iter().any(|(at, _)| (0xd18..0xd1c).contains(at)),
+        Some(Request::WriteMemory { address, .. }) => (0xc00..0xd20).contains(&address),
+        _ => false,
+    };
+    if goes_elsewhere { Vec::new() } else { packet }
+}
+
+#[test]
+fn no_command_ends_the_camera_and_no_answer_is_long() {
+    let (camera, address) = camera(7, Faults::default());
+    let mut random = Pcg64::seed_from_u64(23);
+    let holder = Client::new(address);
+    let mut answer = [0; 65536];
+    let (mut sent, mut answers, mut granted) = (0, 0, 0);
+    holder
+        .control
+        .set_read_timeout(Some(Duration::from_millis(200)))
+        .unwrap();
+    let loopback = [0x42, 1, 0, 0x82, 0, 8, 0, 77, 0, 0, 0x0d, 0x18, 127, 0, 0, 1];
+    holder
+        .control
+        .send(&[0x42, 1, 0, 0x82, 0, 8, 0, 76, 0, 0, 0x0a, 0, 0, 0, 0, 2])
+        .unwrap();
+    holder.control.send(&loopback).unwrap();
+    for round in 0..1000 {
+        for _ in 0..30 {
+            let packet = any_command(&mut random);
+            sent += usize::from(!packet.is_empty());
+            holder.control.send(&packet).unwrap();
+        }
+        // A read whose answer ends the round; it comes after all others.
+        let mark = [0x42, 1, 0, 0x80, 0, 4, 0x7a, (round % 200) as u8, 0, 0, 0, 0];
+        holder.control.send(&mark).unwrap();
+        let until = Instant::now() + Duration::from_secs(5);
+        loop {
+            assert!(Instant::now() < until, "no answer after {sent} commands");
+            let Ok(bytes) = holder.control.recv(&mut answer) else {
+                continue;
+            };
+            assert!((8..=548).contains(&bytes), "{bytes} bytes of answer");
+            if answer[2..4] == [0, 0x81] && answer[6..8] == mark[6..8] {
+                break;
+            }
+            answers += 1;
+            granted += usize::from(answer[..2] == [0, 0]);
+        }
+    }
+    println!("{sent} commands, {answers} answers, {granted} granted");
+    assert!(sent > 25_000 && granted > 1000 && answers > granted);
+    // Whatever patience was written: it is 500 ms again, and nobody holds the camera.
+    for write in [[0, 0, 9, 0x38, 0, 0, 1, 244], [0, 0, 0x0a, 0, 0, 0, 0, 0]] {
+        let command = [&[0x42, 1, 0, 0x82, 0, 8, 0, 78][..], &write].concat();
+        holder.control.send(&command).unwrap();
+    }
+    drop(holder);
+    // Control was claimed and lost many times over: whoever asks gets it in the end, and frames flow.
+    let until = Instant::now() + Duration::from_secs(30);
+    let mut client = Client::new(address);
+    while client.write(0xa00, 2) != 0 {
+        assert!(Instant::now() < until, "nobody can hold it any more");
+        std::thread::sleep(Duration::from_millis(100));
+        client = Client::new(address);
+    }
+    for (at, value) in [(0x2_0008, 0), (0x2_000c, 0), (0x2_0000, 320), (0x2_0004, 160)] {
+        assert_eq!(client.write(at, value), 0, "{at:x}");
+    }
+    let before = camera.counters().frames;
+    client.start();
+    client.packet().unwrap();
+    assert!(camera.counters().frames + 1 > before);
 }

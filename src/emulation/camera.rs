@@ -13,7 +13,7 @@ use socket2::{Domain, Protocol, Socket, Type};
 use super::control;
 use super::faults::{Drill, Faults};
 use super::gvcp::GVCP_PORT;
-use super::registers::{Identity, RegisterBank, STREAM_SOURCE_PORT};
+use super::registers::{Identity, RegisterBank, STREAM_SOURCE_PORT, StrangeDescription};
 use super::script::{Idle, Script, ScriptShape, Timeline};
 use super::sender::{Order, Sender};
 
@@ -65,7 +65,7 @@ pub struct EmulatorOptions {
     /// How packets are handed to the system.
     pub handing: Handing,
     /// Another GenICam description than the camera's own, to try a receiver with.
-    pub genicam: Option<String>,
+    pub genicam: Option<StrangeDescription>,
     /// Seed of the faults.
     pub seed: u64,
 }

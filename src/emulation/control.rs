@@ -1,12 +1,15 @@
 //! The control channel of the emulated camera: who may write, the heartbeat, and what a write sets off.
 
-use std::net::{SocketAddr, UdpSocket};
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::Sender as Channel;
+use rand::{Rng, SeedableRng};
+use rand_pcg::Pcg64;
 
 use super::camera::{PATIENCE, Shared, lock};
 use super::gvcp::{Answer, Command, Refusal, Request};
+use super::mangle::spoil_answer;
 use super::registers::{Effect, HEARTBEAT_MS, PRIVILEGE, RegisterBank, TIMESTAMP_HIGH};
 use super::sender::Order;
 
@@ -19,6 +22,7 @@ struct Holder {
 /// Answers control commands until the camera ends.
 pub(super) fn serve(shared: &Shared, socket: &UdpSocket, orders: &Channel<Order>) {
     let mut holder: Option<Holder> = None;
+    let mut random = Pcg64::seed_from_u64(u64::from(shared.source_port));
     let mut datagram = [0_u8; 2048];
     // A socket that cannot time out would never see the end.
     if socket.set_read_timeout(Some(PATIENCE)).is_err() {
@@ -36,10 +40,14 @@ pub(super) fn serve(shared: &Shared, socket: &UdpSocket, orders: &Channel<Order>
         };
         let granted = handle(shared, &command, from, &mut holder, orders);
         if command.answer == Answer::Wanted {
-            let answer = match granted {
+            let mut answer = match granted {
                 Ok(payload) => command.grant(&payload),
                 Err(why) => command.refuse(why),
             };
+            let mangle = lock(&shared.faults).mangle_control;
+            if mangle > 0.0 && random.random_bool(mangle) {
+                spoil_answer(&mut answer, &mut random);
+            }
             if let Err(error) = socket.send_to(&answer, from) {
                 tracing::debug!(%error, %from, "an answer could not be sent");
             }
@@ -56,6 +64,7 @@ fn expire(shared: &Shared, holder: &mut Option<Holder>, orders: &Channel<Order>)
         return;
     }
     bank.set32(PRIVILEGE, 0);
+    bank.set_holder(Ipv4Addr::UNSPECIFIED, 0);
     *holder = None;
     let _ = orders.send(Order::Stop);
 }
@@ -137,6 +146,10 @@ fn claim(
         who: from,
         heard: Instant::now(),
     });
+    match (from, bank.is_held()) {
+        (SocketAddr::V4(host), true) => bank.set_holder(*host.ip(), host.port()),
+        _ => bank.set_holder(Ipv4Addr::UNSPECIFIED, 0),
+    }
     Ok(())
 }
 

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use super::mangle::Mangling;
+
 /// Faults that hold until changed.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Faults {
@@ -17,6 +19,12 @@ pub struct Faults {
     pub clock_offset_s: f64,
     /// Device clock over the host's, parts per million; positive: fast.
     pub skew_ppm: f64,
+    /// Share of stream packets that are spoilt.
+    pub mangle: f64,
+    /// In which way.
+    pub mangling: Mangling,
+    /// Share of answers on the control channel that are spoilt.
+    pub mangle_control: f64,
 }
 
 /// Something to do now.
@@ -41,8 +49,10 @@ pub enum Drill {
 #[error("{0:?}: {1}")]
 pub struct FaultError(pub String, pub &'static str);
 
-const KEYS: &str =
-    "use loss, reorder, reorder_ms, jitter_ms, clock_offset_s, skew_ppm, as in loss=0.01,skew_ppm=50";
+const KEYS: &str = "use loss, reorder, reorder_ms, jitter_ms, clock_offset_s, skew_ppm, mangle, mangling, mangle_control, \
+                    as in loss=0.01,skew_ppm=50";
+const MANGLINGS: &str =
+    "use any, noise, cut, long, number, block, kind, status, leader, shape, trailer or bits";
 const WORDS: &str = "use freeze S, disconnect S, reboot S, clock S, faults KEY=VALUE,…, loss P, reorder_ms MS, jitter_ms MS or quit";
 
 impl Faults {
@@ -54,6 +64,10 @@ impl Faults {
         for pair in text.split(',').map(str::trim).filter(|p| !p.is_empty()) {
             let fault = |why| FaultError(pair.to_owned(), why);
             let (key, value) = pair.split_once('=').ok_or_else(|| fault(KEYS))?;
+            if key.trim() == "mangling" {
+                self.mangling = Mangling::named(value.trim()).ok_or_else(|| fault(MANGLINGS))?;
+                continue;
+            }
             let value: f64 = value
                 .trim()
                 .parse()
@@ -65,6 +79,8 @@ impl Faults {
                 "jitter_ms" => (&mut self.jitter_ms, (0.0, 1000.0)),
                 "clock_offset_s" => (&mut self.clock_offset_s, (0.0, 4e9)),
                 "skew_ppm" => (&mut self.skew_ppm, (-1000.0, 1000.0)),
+                "mangle" => (&mut self.mangle, (0.0, 1.0)),
+                "mangle_control" => (&mut self.mangle_control, (0.0, 1.0)),
                 _ => return Err(fault(KEYS)),
             };
             if !(least..=most).contains(&value) {
@@ -121,7 +137,9 @@ mod tests {
         let faults = Faults::default().changed_by("loss=0.01, skew_ppm=-50").unwrap();
         assert_eq!((faults.loss, faults.skew_ppm), (0.01, -50.0));
         assert_eq!(faults.changed_by("reorder_ms=5").unwrap().reorder, 0.01);
-        for wrong in ["loss", "loss=2", "los=0.1", "loss=x"] {
+        let hostile = faults.changed_by("mangle=0.5,mangling=leader").unwrap();
+        assert_eq!((hostile.mangle, hostile.mangling), (0.5, Mangling::Leader));
+        for wrong in ["loss", "loss=2", "los=0.1", "loss=x", "mangling=all"] {
             assert!(faults.changed_by(wrong).is_err(), "{wrong}");
         }
         assert_eq!(

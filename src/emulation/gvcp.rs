@@ -9,6 +9,8 @@ pub const GVCP_PORT: u16 = 3956;
 pub const HEADER_BYTES: usize = 8;
 /// The most bytes one READMEM or WRITEMEM may ask for.
 pub const MEMORY_BYTES_MOST: usize = 536;
+/// The most bytes behind the header, of a command or an answer: 576 with the IP, UDP and GVCP headers.
+pub const PAYLOAD_BYTES_MOST: usize = 540;
 
 const COMMAND_MARK: u8 = 0x42;
 const FLAG_ACK_WANTED: u8 = 0x01;
@@ -116,8 +118,8 @@ impl Command {
         let (word, size, id) = (word16(header, 2)?, word16(header, 4)?, word16(header, 6)?);
         let payload = payload.get(..usize::from(size));
         let request = match payload {
-            Some(payload) => Request::parse(word, payload),
-            None => Request::Malformed,
+            Some(payload) if payload.len() <= PAYLOAD_BYTES_MOST => Request::parse(word, payload),
+            _ => Request::Malformed,
         };
         let answer = if flags & FLAG_ACK_WANTED != 0 && word != PACKET_RESEND {
             Answer::Wanted

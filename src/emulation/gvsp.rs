@@ -10,8 +10,12 @@ pub const IP_UDP_BYTES: usize = 28;
 /// Mono8 in the GigE Vision pixel format convention.
 pub const PIXEL_FORMAT_MONO8: u32 = 0x0108_0001;
 
-const FORMAT_LEADER: u32 = 1;
-const FORMAT_TRAILER: u32 = 2;
+/// Format byte of a leader.
+pub const LEADER: u8 = 1;
+/// Format byte of a trailer.
+pub const TRAILER: u8 = 2;
+const FORMAT_LEADER: u32 = LEADER as u32;
+const FORMAT_TRAILER: u32 = TRAILER as u32;
 const FORMAT_PAYLOAD: u32 = 3;
 const PAYLOAD_TYPE_IMAGE: u32 = 1;
 

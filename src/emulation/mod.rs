@@ -16,6 +16,7 @@ mod faults;
 mod genicam;
 pub mod gvcp;
 pub mod gvsp;
+mod mangle;
 mod registers;
 mod script;
 mod sender;
@@ -23,6 +24,7 @@ mod session;
 
 pub use camera::{Counters, Emulator, EmulatorError, EmulatorOptions, Handing};
 pub use faults::{Drill, FaultError, Faults};
-pub use registers::Identity;
+pub use mangle::Mangling;
+pub use registers::{Identity, StrangeDescription};
 pub use script::{Idle, Pixels, Script, ScriptShape, ScriptedFrame, pattern, repeated};
 pub use session::{ScriptError, session_script};

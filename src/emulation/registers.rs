@@ -9,6 +9,27 @@ use super::genicam;
 use super::gvcp::Refusal;
 use super::gvsp::PIXEL_FORMAT_MONO8;
 
+/// A GenICam description that is not the camera's own, to try a receiver with.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct StrangeDescription {
+    /// Its file name; one that ends in `.zip` is an archive.
+    pub name: String,
+    /// What the camera's memory holds.
+    pub bytes: Vec<u8>,
+    /// What the camera states as its address instead of the true one.
+    pub stated: Option<String>,
+}
+
+impl From<String> for StrangeDescription {
+    fn from(text: String) -> Self {
+        Self {
+            name: "pitchd_emulator.xml".to_owned(),
+            bytes: text.into_bytes(),
+            stated: None,
+        }
+    }
+}
+
 /// Who the camera says it is, and what it can do.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Identity {
@@ -29,7 +50,7 @@ pub struct Identity {
     /// Link speed told, Mb/s.
     pub link_mbps: u32,
     /// Another GenICam description than the camera's own.
-    pub genicam: Option<String>,
+    pub genicam: Option<StrangeDescription>,
 }
 
 /// Manufacturer told in discovery.
@@ -45,6 +66,8 @@ pub(super) const TICK_HIGH: u32 = 0x093c;
 pub(super) const TIMESTAMP_CONTROL: u32 = 0x0944;
 pub(super) const TIMESTAMP_HIGH: u32 = 0x0948;
 pub(super) const PRIVILEGE: u32 = 0x0a00;
+pub(super) const HOLDER_PORT: u32 = 0x0a04;
+pub(super) const HOLDER_ADDRESS: u32 = 0x0a14;
 pub(super) const STREAM_PORT: u32 = 0x0d00;
 pub(super) const PACKET_SIZE: u32 = 0x0d04;
 pub(super) const PACKET_DELAY: u32 = 0x0d08;
@@ -70,7 +93,8 @@ pub(super) const LINK_MBPS: u32 = FEATURES + 0x44;
 pub(super) const DEVICE_RESET: u32 = FEATURES + 0x48;
 const FEATURE_BYTES: usize = 0x50;
 
-const XML: u32 = 0x0001_0000;
+/// Behind everything else: a description may have any size.
+const XML: u32 = 0x0100_0000;
 const BOOTSTRAP_BYTES: usize = 0xb000;
 const FIRE_TEST: u32 = 1 << 31;
 /// Control or exclusive privilege.
@@ -124,11 +148,10 @@ impl RegisterBank {
     pub fn new(identity: Identity) -> Self {
         let mut bank = Self {
             bootstrap: vec![0; BOOTSTRAP_BYTES],
-            xml: identity
-                .genicam
-                .clone()
-                .unwrap_or_else(|| genicam::description(&identity))
-                .into_bytes(),
+            xml: match &identity.genicam {
+                Some(strange) => strange.bytes.clone(),
+                None => genicam::description(&identity).into_bytes(),
+            },
             features: vec![0; FEATURE_BYTES],
             identity,
         };
@@ -179,7 +202,10 @@ impl RegisterBank {
         ] {
             self.set_text(address, text, most);
         }
-        let url = format!("Local:pitchd_emulator.xml;{XML:X};{:X}", self.xml.len());
+        let strange = identity.genicam.as_ref();
+        let name = strange.map_or("pitchd_emulator.xml", |s| &s.name);
+        let url = format!("Local:{name};{XML:X};{:X}", self.xml.len());
+        let url = strange.and_then(|s| s.stated.clone()).unwrap_or(url);
         self.set_text(0x0200, &url, 512);
     }
 
@@ -250,8 +276,8 @@ impl RegisterBank {
             return Err(Refusal::BadAlignment);
         }
         let (memory, base) = match address {
-            FEATURES.. => (&self.features, FEATURES),
             XML.. => (&self.xml, XML),
+            FEATURES.. => (&self.features, FEATURES),
             _ => (&self.bootstrap, 0),
         };
         let at = (address - base) as usize;
@@ -344,6 +370,12 @@ impl RegisterBank {
     fn update_payload(&mut self) {
         let bytes = self.get32(WIDTH).saturating_mul(self.get32(HEIGHT));
         self.set32(PAYLOAD_BYTES, bytes);
+    }
+
+    /// Notes who holds the camera; nobody: 0.0.0.0, port 0.
+    pub(super) fn set_holder(&mut self, address: Ipv4Addr, port: u16) {
+        self.set32(HOLDER_PORT, u32::from(port));
+        self.set32(HOLDER_ADDRESS, u32::from(address));
     }
 
     /// Whether a program holds the camera.

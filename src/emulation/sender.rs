@@ -266,11 +266,13 @@ impl Sender {
 
     fn send_frame(&mut self, settings: &StreamSettings, frame: &Kept) {
         let packet_bytes = frame.plan.data_bytes + gvsp::HEADER_BYTES;
+        let faults = *lock(&self.shared.faults);
         let per_group = match self.handing {
+            // Spoilt packets differ in length.
+            _ if faults.mangle > 0.0 => 1,
             Handing::Offloaded => (MESSAGE_BYTES / packet_bytes).clamp(1, self.state.max_gso_segments()),
             Handing::OneByOne => 1,
         };
-        let faults = *lock(&self.shared.faults);
         let mut since_pause = 0;
         self.link_free = self.link_free.max(Instant::now());
         let mut group = std::mem::take(&mut self.group);
@@ -292,7 +294,13 @@ impl Sender {
                 }
             }
             next = end;
-            self.dispatch(settings, &group, packet_bytes, &faults);
+            let mut length = packet_bytes;
+            if faults.mangle > 0.0 && self.rng.random_bool(faults.mangle) {
+                faults.mangling.spoil(&mut group, &mut self.rng);
+                // One packet, however long it is now.
+                length = length.max(group.len());
+            }
+            self.dispatch(settings, &group, length, &faults);
             since_pause += group.len();
             if since_pause >= PACED_BYTES {
                 self.pace(since_pause);
