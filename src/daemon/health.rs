@@ -16,7 +16,7 @@ pub enum CameraState {
     Connecting = 1,
     /// Frames come.
     Streaming = 2,
-    /// It answers, but no frames come.
+    /// It answers, but no frames come, or none that can be used.
     Degraded = 3,
     /// It has just been lost.
     Lost = 4,
@@ -51,6 +51,8 @@ pub struct CameraHealth {
     pub incomplete: AtomicU64,
     /// Of those: no free buffer.
     pub underruns: AtomicU64,
+    /// Of those: whole, but of another size or pixel format.
+    pub misshapen: AtomicU64,
     /// Whole frames dropped because detection was busy.
     pub dropped: AtomicU64,
     /// Frames that went through detection.
@@ -83,6 +85,7 @@ impl CameraHealth {
             missing: AtomicU64::new(0),
             incomplete: AtomicU64::new(0),
             underruns: AtomicU64::new(0),
+            misshapen: AtomicU64::new(0),
             dropped: AtomicU64::new(0),
             processed: AtomicU64::new(0),
             refused: AtomicU64::new(0),
@@ -107,7 +110,7 @@ impl CameraHealth {
     pub fn line(&self) -> String {
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
         format!(
-            "{} {:?}: {} frames, {} processed, {} missing ({} incomplete, {} without buffer), {} dropped before detection, \
+            "{} {:?}: {} frames, {} processed, {} missing ({} incomplete, {} without buffer, {} of another shape), {} dropped before detection, \
              {} refused, {} tracks, {} balls not looked at, lost {} times, arrival to detected {}, path's end to fitted {}",
             self.camera,
             self.state(),
@@ -116,6 +119,7 @@ impl CameraHealth {
             get(&self.missing),
             get(&self.incomplete),
             get(&self.underruns),
+            get(&self.misshapen),
             get(&self.dropped),
             get(&self.refused),
             get(&self.tracks),

@@ -17,6 +17,8 @@ use crate::time::SystemClock;
 const LOOK_AROUND: Duration = Duration::from_millis(100);
 /// Silence after which the camera is asked whether it is alive; the answer takes up to 0.3 s more.
 const SILENCE: Duration = Duration::from_millis(600);
+/// Frames without a whole one among them for this long are a fault to be told of.
+const NONE_WHOLE: Duration = Duration::from_secs(2);
 /// A camera that answers but sends nothing for this long is opened anew.
 const FROZEN: Duration = Duration::from_secs(6);
 const BACKOFF_FIRST: Duration = Duration::from_millis(250);
@@ -101,7 +103,7 @@ impl Supervisor {
 
     fn stream(&self, mut camera: LiveCamera, memory: &mut CameraMemory) -> End {
         let mut heard = Instant::now();
-        let mut asked = heard;
+        let (mut asked, mut whole) = (heard, heard);
         loop {
             if self.stopped() {
                 camera.stop();
@@ -110,13 +112,19 @@ impl Supervisor {
             match camera.next(memory, &SystemClock, LOOK_AROUND) {
                 Next::Frame(frame) => {
                     heard = Instant::now();
-                    asked = heard;
+                    (asked, whole) = (heard, heard);
                     if self.health.set_state(CameraState::Streaming) {
                         tracing::info!(camera = %self.options.camera, frame = frame.frame.stamp.frame, "frames come");
                     }
                     self.hand_on(frame);
                 }
-                Next::Incomplete => heard = Instant::now(),
+                unusable @ (Next::Incomplete | Next::Misshapen(_)) => {
+                    heard = Instant::now();
+                    asked = heard;
+                    if whole.elapsed() >= NONE_WHOLE && self.health.set_state(CameraState::Degraded) {
+                        self.warn_of(&unusable, camera.packet_size());
+                    }
+                }
                 Next::Nothing if asked.elapsed() >= SILENCE => {
                     asked = Instant::now();
                     let held = camera.is_held();
@@ -150,6 +158,24 @@ impl Supervisor {
         }
     }
 
+    /// Frames come, and none can be used.
+    fn warn_of(&self, unusable: &Next, packet_size: u32) {
+        let camera = &self.options.camera;
+        match unusable {
+            Next::Misshapen(shape) => {
+                let (width, height) = self.options.size_px;
+                tracing::warn!(
+                    %camera, "frames come as {shape}, asked were {width}x{height} Mono8: another program has changed the \
+                     camera, or its firmware is at fault; power it off and on"
+                );
+            }
+            _ => tracing::warn!(
+                %camera, "frames come, none of them whole: packets of {packet_size} bytes do not all pass; look at cable and \
+                 switch, at jumbo frames (MTU) of every port on the way, or set packet_size = 1500"
+            ),
+        }
+    }
+
     fn lose(&self, camera: LiveCamera, held: Option<bool>, heard: Instant) {
         self.health.set_state(CameraState::Lost);
         self.health.losses.fetch_add(1, Ordering::Relaxed);
@@ -173,6 +199,7 @@ impl Supervisor {
             (&health.missing, counters.missing),
             (&health.incomplete, counters.incomplete),
             (&health.underruns, counters.underruns),
+            (&health.misshapen, counters.misshapen),
         ] {
             to.store(from, Ordering::Relaxed);
         }

@@ -4,10 +4,12 @@ use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::time::Duration;
 
+use aravis::glib::translate::IntoGlib;
 use aravis::prelude::*;
-use aravis::{Buffer, Camera};
+use aravis::{Buffer, BufferPayloadType, BufferStatus, Camera, PixelFormat};
 use crossbeam_channel::{Receiver, Sender, unbounded};
 
+use super::description;
 use super::error::LiveError;
 use super::ffi::{PooledFrame, RawStream, touched_buffer};
 use super::frame_number::FrameNumber;
@@ -31,6 +33,8 @@ pub struct LiveCounters {
     pub incomplete: u64,
     /// Frames for which no buffer was free: the readers are too slow.
     pub underruns: u64,
+    /// Whole frames of another size or pixel format than asked for.
+    pub misshapen: u64,
     /// Packets that were asked for again.
     pub resend_requests: u64,
     /// Frames whose device time could not be believed.
@@ -61,6 +65,8 @@ pub enum Next {
     Frame(LiveFrame),
     /// A frame that was not whole; it is counted.
     Incomplete,
+    /// A frame of another size or pixel format than asked for: which. It is counted.
+    Misshapen(String),
     /// Nothing within the time.
     Nothing,
 }
@@ -125,6 +131,7 @@ impl LiveCamera {
     pub fn start(options: &LiveOptions, memory: &mut CameraMemory) -> Result<Self, LiveError> {
         let address = open::locate(options)?;
         open::check_free(options, address)?;
+        description::check(&options.camera, address)?;
         let opened = open::open(options, address)?;
         let live = Self {
             options: options.clone(),
@@ -193,6 +200,11 @@ impl LiveCamera {
         // Metadata of a buffer that is not complete is of its previous use.
         let (id, device_ns, arrival_unix_ns) =
             (buffer.frame_id(), buffer.timestamp(), buffer.system_timestamp());
+        if let Some(shape) = self.another_shape(&buffer) {
+            self.stream.push(buffer);
+            memory.counters.misshapen += 1;
+            return Next::Misshapen(shape);
+        }
         match PooledFrame::new(buffer, count, memory.home.clone()) {
             Err(buffer) => {
                 self.stream.push(buffer);
@@ -217,6 +229,30 @@ impl LiveCamera {
                 })
             }
         }
+    }
+
+    /// What a whole buffer holds, if it is not what was asked for.
+    fn another_shape(&self, buffer: &Buffer) -> Option<String> {
+        if buffer.status() != BufferStatus::Success {
+            return None;
+        }
+        // The library's getters are for images alone.
+        let payload = buffer.payload_type();
+        let image = matches!(
+            payload,
+            BufferPayloadType::Image | BufferPayloadType::ChunkData | BufferPayloadType::ExtendedChunkData
+        );
+        if !image || buffer.n_parts() == 0 {
+            return Some(format!("no image ({payload:?})"));
+        }
+        let got = [buffer.image_width(), buffer.image_height()].map(|n| u32::try_from(n).unwrap_or(0));
+        let format = buffer.image_pixel_format();
+        let fits = (got[0], got[1]) == self.options.size_px && format == PixelFormat::MONO_8;
+        let name = match format {
+            PixelFormat::MONO_8 => "Mono8".to_owned(),
+            other => format!("pixel format {:#010x}", other.into_glib()),
+        };
+        (!fits).then(|| format!("{}x{} {name}", got[0], got[1]))
     }
 
     fn stamp(

@@ -2,6 +2,7 @@
 
 use std::net::Ipv4Addr;
 
+use super::description::DescriptionError;
 use crate::scene::CameraId;
 
 /// A live camera's trouble.
@@ -9,13 +10,15 @@ use crate::scene::CameraId;
 pub enum LiveError {
     /// Nobody answers.
     #[error(
-        "camera {camera}: no answer from {sought}; check power, cable and address (pitchd cameras lists what is there)"
+        "camera {camera}: no answer from {sought}{others}; check power, cable and address (pitchd cameras lists what is there)"
     )]
     Absent {
         /// Camera.
         camera: CameraId,
         /// What was looked for.
         sought: String,
+        /// The cameras that did answer, in words.
+        others: String,
     },
     /// Another camera is there.
     #[error("camera {camera}: {address} is serial {found}, not {expected}; correct `serial` or `address`")]
@@ -30,24 +33,42 @@ pub enum LiveError {
         expected: String,
     },
     /// Several cameras fit.
-    #[error("camera {camera}: {count} cameras answer to {sought}; give serial or address")]
+    #[error(
+        "camera {camera}: {} cameras answer to {sought}: {}; give `address` too, or take the wrong one off the network",
+        places.len(), in_words(places)
+    )]
     Ambiguous {
         /// Camera.
         camera: CameraId,
         /// What was looked for.
         sought: String,
-        /// How many.
-        count: usize,
+        /// Where they are.
+        places: Vec<Ipv4Addr>,
     },
     /// Another program holds it.
     #[error(
-        "camera {camera}: {address} is controlled by another program; end that program, or wait for its heartbeat (3 s) if it crashed"
+        "camera {camera}: {address} is controlled by another program{}; end that program, or wait for its heartbeat (3 s) if it crashed",
+        by.map(|host| format!(" on {host}")).unwrap_or_default()
     )]
     Held {
         /// Camera.
         camera: CameraId,
         /// Where.
         address: Ipv4Addr,
+        /// Host of that program, where the camera tells it.
+        by: Option<Ipv4Addr>,
+    },
+    /// Its description of itself would harm the library.
+    #[error(
+        "camera {camera}: {address} describes itself so that it cannot be used: {why}; update its firmware, or replace it"
+    )]
+    Description {
+        /// Camera.
+        camera: CameraId,
+        /// Where.
+        address: Ipv4Addr,
+        /// What is wrong.
+        why: DescriptionError,
     },
     /// It cannot give Mono8.
     #[error(
@@ -108,4 +129,9 @@ pub enum LiveError {
         /// The library's words.
         reason: String,
     },
+}
+
+fn in_words(places: &[Ipv4Addr]) -> String {
+    let places: Vec<_> = places.iter().map(ToString::to_string).collect();
+    places.join(" and ")
 }

@@ -11,12 +11,16 @@
 //!   pushes the buffer back. `Buffer::new_preallocated_owned` (a safe function that trusts any pointer) is not used.
 //! * **Callbacks.** The stream's callback runs on the receive thread, takes no pointer of ours (the priority travels
 //!   as the value of the pointer), acts on the INIT event alone, and cannot panic across the border.
+//! * **File descriptors.** The stream's socket is found by its port among this process's own and borrowed for one call.
 //! * **Global state.** Discovery through the library changes global lists: it holds [`DEVICE_LIST`].
 
 #![allow(unsafe_code, reason = "the border to Aravis; every block says why it holds")]
 
 use std::ffi::CStr;
+use std::io;
+use std::net::{Ipv4Addr, UdpSocket};
 use std::ops::Deref;
+use std::os::fd::BorrowedFd;
 use std::os::raw::{c_char, c_void};
 use std::ptr;
 use std::sync::Mutex;
@@ -27,6 +31,7 @@ use aravis::glib::{self};
 use aravis::prelude::*;
 use aravis::{Buffer, BufferStatus, Camera, GvStream, Stream};
 use crossbeam_channel::Sender;
+use socket2::{SockFilter, SockRef, Type};
 
 /// One at a time through the library's global device list.
 static DEVICE_LIST: Mutex<()> = Mutex::new(());
@@ -82,6 +87,41 @@ impl RawStream {
     /// The GigE Vision side of the stream, for its settings; `None` for USB.
     pub fn gige(&self) -> Option<&GvStream> {
         self.0.downcast_ref::<GvStream>()
+    }
+
+    /// Attaches a filter to the socket on which this stream's packets come (USB has none). The library tells the port and
+    /// not the socket: it is the one of this process that is bound to that port on the side that faces the camera.
+    ///
+    /// # Errors
+    /// No such socket, or the kernel refuses.
+    pub fn attach(&self, camera: Ipv4Addr, program: &[SockFilter]) -> io::Result<()> {
+        let Some(gige) = self.gige() else { return Ok(()) };
+        let port = gige.port();
+        let side = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
+        side.connect((camera, port))?;
+        let side = side.local_addr()?.ip();
+        for entry in std::fs::read_dir("/proc/self/fd")?.flatten() {
+            let target = std::fs::read_link(entry.path()).unwrap_or_default();
+            let number = entry.file_name().to_str().and_then(|name| name.parse().ok());
+            let (Some(number), true) = (number, target.to_string_lossy().starts_with("socket:")) else {
+                continue;
+            };
+            // SAFETY: nothing is closed or kept: the number is asked for its address, and only the socket that has this
+            // stream's port gets a filter. The stream is alive, so that no other socket can have that address; a number
+            // that was closed meanwhile answers with an error or as another socket, with another address.
+            let socket = unsafe { BorrowedFd::borrow_raw(number) };
+            let socket = SockRef::from(&socket);
+            let address = socket.local_addr().ok().and_then(|a| a.as_socket());
+            let ours =
+                address.is_some_and(|a| a.port() == port && (a.ip() == side || a.ip().is_unspecified()));
+            if ours && socket.r#type().is_ok_and(|kind| kind == Type::DGRAM) {
+                return socket.attach_filter(program);
+            }
+        }
+        Err(io::Error::new(
+            io::ErrorKind::NotFound,
+            "the stream's socket was not found",
+        ))
     }
 
     /// Gives a buffer to the receive thread.

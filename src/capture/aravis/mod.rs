@@ -10,16 +10,21 @@
 //! for it are in `ffi.rs`. The measured traps that shaped this room (global open lock, slow tear-down, silent loss,
 //! packet timeouts made for 20 fps) are named where they are avoided.
 
+mod archive;
 mod camera;
+mod description;
 mod error;
 mod ffi;
 mod frame_number;
+mod guard;
+mod nodes;
 mod open;
 mod options;
 mod probe;
 
 pub use camera::{CameraMemory, LiveCamera, LiveCounters, LiveFrame, Next, granted_socket_buffer};
+pub use description::DescriptionError;
 pub use error::LiveError;
 pub use ffi::{ListedDevice, list_devices, make_this_thread_realtime};
 pub use options::{CameraAddress, LiveOptions, PacketPath, Ptp};
-pub use probe::{Found, discover, is_held, ping};
+pub use probe::{Found, discover, holder, is_held, ping};

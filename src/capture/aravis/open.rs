@@ -8,6 +8,7 @@ use aravis::{Camera, GvStreamOption, GvStreamPacketResend, GvStreamSocketBuffer,
 
 use super::error::LiveError;
 use super::ffi::RawStream;
+use super::guard;
 use super::options::{LiveOptions, PacketPath, Ptp};
 use super::probe;
 
@@ -37,6 +38,7 @@ pub fn locate(options: &LiveOptions) -> Result<Ipv4Addr, LiveError> {
                 return Err(LiveError::Absent {
                     camera: options.camera.clone(),
                     sought: sought(),
+                    others: others(std::slice::from_ref(&found)),
                 });
             }
             // The right camera may have moved to another address: look below, else say who is here.
@@ -54,6 +56,7 @@ pub fn locate(options: &LiveOptions) -> Result<Ipv4Addr, LiveError> {
             return Err(LiveError::Absent {
                 camera: options.camera.clone(),
                 sought: sought(),
+                others: String::new(),
             });
         }
     }
@@ -61,19 +64,38 @@ pub fn locate(options: &LiveOptions) -> Result<Ipv4Addr, LiveError> {
 }
 
 fn search(options: &LiveOptions, fits: impl Fn(&probe::Found) -> bool) -> Result<Ipv4Addr, LiveError> {
-    let found: Vec<_> = probe::discover(DISCOVERY).into_iter().filter(fits).collect();
+    let all = probe::discover(DISCOVERY);
+    let found: Vec<_> = all.iter().filter(|camera| fits(camera)).collect();
     match found.as_slice() {
         [] => Err(LiveError::Absent {
             camera: options.camera.clone(),
             sought: options.which.to_string(),
+            others: others(&all),
         }),
         [one] => Ok(one.address),
         several => Err(LiveError::Ambiguous {
             camera: options.camera.clone(),
             sought: options.which.to_string(),
-            count: several.len(),
+            places: several.iter().map(|found| found.address).collect(),
         }),
     }
+}
+
+/// The cameras that are there instead, as far as a line holds them.
+fn others(found: &[probe::Found]) -> String {
+    const MOST: usize = 4;
+    if found.is_empty() {
+        return String::new();
+    }
+    let told = found.iter().take(MOST).map(|camera| {
+        let name = match camera.user_name.as_str() {
+            "" => String::new(),
+            name => format!(" named {name}"),
+        };
+        format!("serial {}{name} at {}", camera.serial, camera.address)
+    });
+    let more = if found.len() > MOST { ", …" } else { "" };
+    format!(" (there is {}{more})", told.collect::<Vec<_>>().join(", "))
 }
 
 /// Refuses a camera that another program holds.
@@ -84,10 +106,15 @@ pub fn check_free(options: &LiveOptions, address: Ipv4Addr) -> Result<(), LiveEr
     let camera = options.camera.clone();
     match (0..3).find_map(|_| probe::is_held(address, PING)) {
         Some(false) => Ok(()),
-        Some(true) => Err(LiveError::Held { camera, address }),
+        Some(true) => Err(LiveError::Held {
+            camera,
+            address,
+            by: probe::holder(address, PING),
+        }),
         None => Err(LiveError::Absent {
             camera,
             sought: address.to_string(),
+            others: String::new(),
         }),
     }
 }
@@ -125,12 +152,25 @@ pub fn open(options: &LiveOptions, address: Ipv4Addr) -> Result<Opened, LiveErro
         let refused = setting(options, "PtpEnable", true);
         camera.set_boolean("PtpEnable", true).map_err(refused)?;
     }
-    let payload_bytes = camera.payload().map_err(failed("read PayloadSize"))? as usize;
+    let payload_bytes = sane_payload(
+        options,
+        camera.payload().map_err(failed("read PayloadSize"))? as usize,
+    )?;
     let packet_size = set_transport(options, &camera)?;
     check_link(options, &camera, payload_bytes)?;
     let stream =
         RawStream::create(&camera, options.realtime_priority).map_err(failed("create the stream"))?;
     tune(options, &stream);
+    if options.path == PacketPath::UdpSocket {
+        let expected = guard::Expected {
+            camera: address,
+            payload_bytes,
+            packet_size,
+        };
+        if let Err(error) = guard::set(&stream, &expected) {
+            tracing::warn!(camera = %options.camera, %error, "spoilt packets are not kept from the library");
+        }
+    }
     Ok(Opened {
         model: camera.model_name().map(|m| m.to_string()).unwrap_or_default(),
         camera,
@@ -267,9 +307,40 @@ fn set_transport(options: &LiveOptions, camera: &Camera) -> Result<u32, LiveErro
             .gv_auto_packet_size()
             .map_err(setting(options, "packet size", "negotiated"))?,
     }
-    camera
+    let size = camera
         .gv_get_packet_size()
-        .map_err(setting(options, "packet size", "as read back"))
+        .map_err(setting(options, "packet size", "as read back"))?;
+    sane_packet_size(options, size)
+}
+
+/// Chunks behind the image take some kilobytes. The pool is made of buffers of this size: an absurd one is not believed.
+fn sane_payload(options: &LiveOptions, payload_bytes: usize) -> Result<usize, LiveError> {
+    let image = options.size_px.0 as usize * options.size_px.1 as usize;
+    if (image..=2 * image + (1 << 20)).contains(&payload_bytes) {
+        return Ok(payload_bytes);
+    }
+    Err(LiveError::Setting {
+        camera: options.camera.clone(),
+        setting: "PayloadSize",
+        value: payload_bytes.to_string(),
+        reason: format!(
+            "an image of {}x{} Mono8 has {image} bytes",
+            options.size_px.0, options.size_px.1
+        ),
+    })
+}
+
+/// A packet size that the library would divide by or allocate: the standard's least, and a datagram's most.
+fn sane_packet_size(options: &LiveOptions, size: u32) -> Result<u32, LiveError> {
+    if (576..=65_535).contains(&size) {
+        return Ok(size);
+    }
+    Err(LiveError::Setting {
+        camera: options.camera.clone(),
+        setting: "packet size",
+        value: size.to_string(),
+        reason: "a packet has 576 to 65535 bytes".to_owned(),
+    })
 }
 
 fn check_link(options: &LiveOptions, camera: &Camera, payload_bytes: usize) -> Result<(), LiveError> {

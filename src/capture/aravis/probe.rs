@@ -12,6 +12,8 @@ use socket2::{Domain, Protocol, Socket, Type};
 
 const GVCP_PORT: u16 = 3956;
 const PRIVILEGE: u32 = 0x0a00;
+/// Address of the program that holds the camera; cameras before GigE Vision 2 do not tell it.
+const HOLDER: u32 = 0x0a14;
 const DISCOVERY_BYTES: usize = 0xf8;
 
 /// A camera that answered.
@@ -71,6 +73,11 @@ fn ask(address: Ipv4Addr, request: &[u8], word: u16, patience: Duration) -> io::
     socket.connect(SocketAddrV4::new(address, GVCP_PORT))?;
     let until = Instant::now() + patience;
     socket.send(request)?;
+    answer_on(&socket, (word, 1), until)
+}
+
+/// The payload of the answer `word` to request `id`; all else that comes is left.
+fn answer_on(socket: &UdpSocket, (word, id): (u16, u16), until: Instant) -> io::Result<Option<Vec<u8>>> {
     let mut datagram = [0; 1024];
     loop {
         let left = until.saturating_duration_since(Instant::now());
@@ -82,9 +89,50 @@ fn ask(address: Ipv4Addr, request: &[u8], word: u16, patience: Duration) -> io::
         let Ok(bytes) = socket.recv(&mut datagram) else {
             return Ok(None);
         };
-        if let Some(payload) = datagram.get(..bytes).and_then(|d| payload_of(d, word, 1)) {
+        if let Some(payload) = datagram.get(..bytes).and_then(|d| payload_of(d, word, id)) {
             return Ok(Some(payload.to_vec()));
         }
+    }
+}
+
+/// A camera's memory, read by one socket.
+pub struct Registers {
+    socket: UdpSocket,
+    id: u16,
+}
+
+/// The most that one read may ask for.
+const READ_BYTES: usize = 512;
+/// A slow camera asks for patience (PENDING); a stalling one is given no more than this for a read.
+const READ_PATIENCE: Duration = Duration::from_millis(400);
+const READ_TRIES: usize = 3;
+
+impl Registers {
+    /// Of the camera at an address.
+    pub fn of(address: Ipv4Addr) -> io::Result<Self> {
+        let socket = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
+        socket.connect(SocketAddrV4::new(address, GVCP_PORT))?;
+        Ok(Self { socket, id: 0 })
+    }
+
+    /// At most `most` bytes from `address` on; `None`: refused, or no whole answer by `until`.
+    pub fn read(&mut self, address: u32, most: usize, until: Instant) -> Option<Vec<u8>> {
+        let wanted = most.min(READ_BYTES);
+        let count = u16::try_from(wanted.next_multiple_of(4)).ok()?;
+        (0..READ_TRIES).find_map(|_| {
+            self.id = self.id.checked_add(1).unwrap_or(1);
+            let mut request = vec![0x42, 0x01, 0x00, 0x84, 0x00, 0x08];
+            request.extend(self.id.to_be_bytes());
+            request.extend(address.to_be_bytes());
+            request.extend([0, 0]);
+            request.extend(count.to_be_bytes());
+            self.socket.send(&request).ok()?;
+            let until = until.min(Instant::now() + READ_PATIENCE);
+            let answer = answer_on(&self.socket, (0x0085, self.id), until).ok()??;
+            let (place, data) = answer.split_at_checked(4)?;
+            let whole = place == address.to_be_bytes() && data.len() >= usize::from(count);
+            whole.then(|| data.get(..wanted).map(<[u8]>::to_vec))?
+        })
     }
 }
 
@@ -98,11 +146,20 @@ pub fn ping(address: Ipv4Addr, patience: Duration) -> Option<Found> {
 
 /// Whether a program holds the camera at an address; `None`: no answer.
 pub fn is_held(address: Ipv4Addr, patience: Duration) -> Option<bool> {
+    register(address, PRIVILEGE, patience).map(|value| value & 3 != 0)
+}
+
+/// Host of the program that holds the camera at an address, where the camera tells it.
+pub fn holder(address: Ipv4Addr, patience: Duration) -> Option<Ipv4Addr> {
+    let host = register(address, HOLDER, patience)?;
+    (host != 0).then(|| Ipv4Addr::from(host))
+}
+
+fn register(address: Ipv4Addr, place: u32, patience: Duration) -> Option<u32> {
     let mut request = vec![0x42, 0x01, 0x00, 0x80, 0x00, 0x04, 0x00, 0x01];
-    request.extend(PRIVILEGE.to_be_bytes());
+    request.extend(place.to_be_bytes());
     let payload = ask(address, &request, 0x0081, patience).ok()??;
-    let value = u32::from_be_bytes(payload.get(..4)?.try_into().ok()?);
-    Some(value & 3 != 0)
+    Some(u32::from_be_bytes(payload.get(..4)?.try_into().ok()?))
 }
 
 /// Asks all interfaces by broadcast.
