@@ -3,12 +3,18 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may")]
 
 use std::net::Ipv4Addr;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use crossbeam_channel::{bounded, unbounded};
 use pitchd::capture::aravis::{
     CameraAddress, CameraMemory, LiveCamera, LiveError, LiveFrame, LiveOptions, Next, is_held, ping,
 };
+use pitchd::config::{RecordConfig, RecordMode};
+use pitchd::daemon::clip_disk::DiskJob;
+use pitchd::daemon::recorder::{ClipTrigger, RecordedLive, Recorder, RecorderHealth};
 use pitchd::emulation::{Drill, Emulator, EmulatorOptions, Faults, ScriptShape, pattern};
+use pitchd::eye::{EyeConfig, FirstLook};
 use pitchd::scene::CameraId;
 use pitchd::time::SystemClock;
 
@@ -18,6 +24,10 @@ const SHAPE: ScriptShape = ScriptShape {
     rate_hz: 60.0,
     exposure_s: 0.002,
 };
+
+/// Pixel formats by their numbers.
+const MONO8: u32 = 0x0108_0001;
+const BAYER: u32 = 0x0108_0009;
 
 fn emulator(last: u8, serial: &str, faults: Faults) -> (Emulator, LiveOptions) {
     let address = Ipv4Addr::new(127, 0, 92, last);
@@ -217,7 +227,7 @@ fn a_rebooted_camera_is_opened_again_with_the_same_memory() {
 
 #[test]
 fn what_stands_in_the_way_is_said() {
-    let (_emulator, options) = emulator(5, "L5", Faults::default());
+    let (emulator_itself, options) = emulator(5, "L5", Faults::default());
     let refused = |options: &LiveOptions| {
         LiveCamera::start(options, &mut CameraMemory::default())
             .err()
@@ -250,11 +260,154 @@ fn what_stands_in_the_way_is_said() {
     let error = refused(&options);
     assert!(matches!(error, LiveError::Held { .. }), "{error}");
     assert!(
+        error.to_string().contains("another program on 127.0.0.1"),
+        "{error}"
+    );
+    assert!(
         frame(&mut held, &mut memory).is_some(),
         "the one that holds it does not notice"
     );
     held.stop();
+    let other_serial = LiveOptions {
+        which: CameraAddress {
+            serial: Some("L99".into()),
+            ..options.which.clone()
+        },
+        ..options.clone()
+    };
+    let text = refused(&other_serial).to_string();
+    assert!(text.contains("is serial L5, not L99"), "{text}");
+    let named = LiveOptions {
+        which: CameraAddress {
+            serial: Some("L99".into()),
+            ..CameraAddress::default()
+        },
+        ..options.clone()
+    };
+    let text = refused(&named).to_string();
+    println!("{text}");
+    assert!(text.contains("no answer from serial L99"), "{text}");
+
+    // A colour camera, and one behind a slow port.
+    let colour = |good: String| {
+        good.replace("Mono8", "BayerRG8")
+            .replace(&MONO8.to_string(), &BAYER.to_string())
+    };
+    let other = |last: u8, genicam: Option<String>, link_gbps: f64| {
+        let address = Ipv4Addr::new(127, 0, 92, last);
+        let options = EmulatorOptions {
+            genicam: genicam.map(Into::into),
+            link_gbps,
+            ..EmulatorOptions::new(address, "L")
+        };
+        let which = CameraAddress {
+            address: Some(address),
+            ..CameraAddress::default()
+        };
+        (Emulator::start(&options, SHAPE, pattern(SHAPE)).unwrap(), which)
+    };
+    let (_colour, which) = other(7, Some(colour(emulator_itself.genicam())), 5.0);
+    let text = refused(&LiveOptions {
+        which,
+        ..options.clone()
+    })
+    .to_string();
+    assert!(text.contains("no pixel format Mono8 (it has BayerRG8)"), "{text}");
+    let (_slow, which) = other(8, None, 0.05);
+    let text = refused(&LiveOptions {
+        which,
+        ..options.clone()
+    })
+    .to_string();
+    assert!(
+        text.contains("99 Mb/s are needed, its link has 50 Mb/s"),
+        "{text}"
+    );
+
     let address = options.which.address.unwrap();
     assert_eq!(ping(address, Duration::from_millis(200)).unwrap().serial, "L5");
     assert_eq!(is_held(address, Duration::from_millis(200)), Some(false));
+}
+
+#[test]
+fn a_frame_is_one_memory_from_the_receive_thread_to_the_clip() {
+    let (_emulator, options) = emulator(6, "L6", Faults::default());
+    let options = LiveOptions {
+        buffers: 150,
+        ..options
+    };
+    let mut memory = CameraMemory::default();
+    let mut camera = LiveCamera::start(&options, &mut memory).unwrap();
+    let health = Arc::new(RecorderHealth::default());
+    let config = RecordConfig {
+        mode: RecordMode::Clips,
+        folder: "unused".into(),
+        memory_bytes: 100 * 640 * 320,
+        quota_bytes: 0,
+        before_s: 60.0,
+        after_s: 0.0,
+    };
+    let (jobs_in, jobs) = bounded(4);
+    let recorder = Recorder::new(config, vec![options.camera.clone()], jobs_in, health);
+    let (record_in, record) = unbounded();
+    let (triggers_in, triggers) = unbounded();
+    let mut eye = FirstLook::new(options.camera.clone(), &EyeConfig::default(), 640, 320);
+    let mut places = std::collections::BTreeMap::new();
+    let mut last_ns = 0;
+    let mut watched = Vec::new();
+    for _ in 0..80 {
+        let live = frame(&mut camera, &mut memory).unwrap();
+        let stamp = live.frame.stamp;
+        last_ns = stamp.stamped.nanos();
+        places.insert(stamp.frame, live.frame.bytes().as_ptr() as usize);
+        let recorded = RecordedLive {
+            camera: options.camera.clone(),
+            frame: live.frame.clone(),
+            exposure_s: live.exposure_s,
+        };
+        record_in.send(recorded).unwrap();
+        eye.push(&live.frame).unwrap();
+        // This reader, the recorder and the eye, which compares frames with those before: all hold the same pixels.
+        watched.push((stamp.frame, Arc::strong_count(&live.frame.pixels)));
+    }
+    assert!(
+        watched.iter().skip(20).all(|(_, holders)| *holders >= 3),
+        "the eye has memory of its own: {watched:?}"
+    );
+    triggers_in
+        .send(ClipTrigger {
+            first_ns: last_ns,
+            last_ns,
+        })
+        .unwrap();
+    drop((record_in, triggers_in));
+    recorder.run(&record, &triggers, &crossbeam_channel::never());
+    let Ok(DiskJob::Clip(clip)) = jobs.recv() else {
+        panic!("no clip");
+    };
+    assert_eq!(clip.len(), places.len());
+    for held in &clip {
+        let place = held.frame.bytes().as_ptr() as usize;
+        assert_eq!(
+            places.get(&held.frame.stamp.frame),
+            Some(&place),
+            "recorded where it arrived"
+        );
+    }
+    let distinct: std::collections::BTreeSet<_> = places.values().collect();
+    assert_eq!(
+        distinct.len(),
+        places.len(),
+        "frames that are all held are in places of their own"
+    );
+    // Until the last holder lets go the library has these buffers no more.
+    let pixels = clip[0].frame.pixels.clone();
+    let before = pixels.to_vec();
+    drop((clip, eye));
+    assert_eq!(Arc::strong_count(&pixels), 1);
+    for _ in 0..30 {
+        assert!(frame(&mut camera, &mut memory).is_some());
+    }
+    assert!(pixels[..] == before, "a frame that is held does not change");
+    camera.stop();
 }
