@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::Receiver;
@@ -25,8 +26,10 @@ pub enum DiskJob {
     Frame(Arc<HeldFrame>),
 }
 
-/// A continuous recording begins a new session this often, so that the oldest can be removed.
+/// A continuous recording begins a new session this often, and whenever the last has an eighth of the quota, so that the
+/// oldest can be removed.
 const SESSION_MOST: Duration = Duration::from_secs(600);
+const QUOTA_PARTS: u64 = 8;
 /// After a failure a continuous recording rests this long.
 const REST: Duration = Duration::from_secs(5);
 
@@ -42,6 +45,18 @@ pub struct ClipDisk {
     pub health: Arc<RecorderHealth>,
     /// Newer settings: the quota changes with them.
     pub configs: Receiver<RecordConfig>,
+    /// A session of a continuous recording is not ended for the quota's sake before it has this many bytes.
+    pub session_bytes_least: u64,
+}
+
+/// A continuous recording.
+#[derive(Default)]
+struct Continuous {
+    open: Option<Open>,
+    /// Since the last failure.
+    resting: Option<Instant>,
+    /// Sessions on their way to the disk.
+    endings: Vec<JoinHandle<()>>,
 }
 
 /// A session being written.
@@ -50,6 +65,7 @@ struct Open {
     cameras: BTreeMap<CameraId, CameraWriter>,
     since: Instant,
     frames: u64,
+    bytes: u64,
 }
 
 impl Open {
@@ -71,6 +87,7 @@ impl Open {
             flags: FrameFlags::default(),
         })?;
         self.frames += 1;
+        self.bytes += held.frame.bytes().len() as u64;
         Ok(())
     }
 
@@ -86,8 +103,7 @@ impl Open {
 impl ClipDisk {
     /// Runs until the recorder ends.
     pub fn run(mut self, jobs: &Receiver<DiskJob>) {
-        let mut continuous: Option<Open> = None;
-        let mut resting = None::<Instant>;
+        let mut continuous = Continuous::default();
         loop {
             // Settings are taken when they come: between two pitches there is no job for an hour.
             let job = crossbeam_channel::select_biased! {
@@ -106,20 +122,24 @@ impl ClipDisk {
             match job {
                 DiskJob::Clip(frames) => self.clip(frames),
                 DiskJob::Frame(held) => {
-                    if resting.is_some_and(|since| since.elapsed() < REST) {
+                    if continuous.resting.is_some_and(|since| since.elapsed() < REST) {
                         self.health.frames_lost.fetch_add(1, Ordering::Relaxed);
                         continue;
                     }
-                    resting = None;
+                    continuous.resting = None;
                     if let Err(error) = self.continuous(&mut continuous, &held) {
                         self.failed(&error, 1);
-                        (continuous, resting) = (None, Some(Instant::now()));
+                        (continuous.open, continuous.resting) = (None, Some(Instant::now()));
                     }
                 }
             }
         }
-        if let Some(open) = continuous {
-            self.end(open);
+        if let Some(open) = continuous.open {
+            end(open, &self.health);
+        }
+        for ending in continuous.endings {
+            // A thread that panicked has said so.
+            let _ = ending.join();
         }
     }
 
@@ -141,38 +161,44 @@ impl ClipDisk {
         }
     }
 
-    fn continuous(&self, open: &mut Option<Open>, held: &HeldFrame) -> Result<(), RecordingError> {
-        if open.as_ref().is_some_and(|o| o.since.elapsed() > SESSION_MOST)
-            && let Some(old) = open.take()
+    fn continuous(&self, continuous: &mut Continuous, held: &HeldFrame) -> Result<(), RecordingError> {
+        let most = (self.config.quota_bytes / QUOTA_PARTS).max(self.session_bytes_least);
+        let full = |o: &Open| o.since.elapsed() > SESSION_MOST || o.bytes >= most;
+        if continuous.open.as_ref().is_some_and(full)
+            && let Some(old) = continuous.open.take()
         {
-            self.end(old);
+            continuous.endings.retain(|ending| !ending.is_finished());
+            continuous.endings.extend(self.end_beside(old));
         }
-        let session = match open {
+        let session = match &mut continuous.open {
             Some(session) => session,
-            None => open.insert(self.open("continuous")?),
+            none => none.insert(self.open("continuous")?),
         };
         session.write(held)?;
         self.health.frames.fetch_add(1, Ordering::Relaxed);
         Ok(())
     }
 
-    fn end(&self, open: Open) {
-        match open.finish() {
-            Ok(_) => {
-                self.health.clips.fetch_add(1, Ordering::Relaxed);
-            }
-            Err(error) => self.failed(&error, 0),
+    /// Ends a session on a thread of its own: it waits for the disk, and the next one's frames do not.
+    fn end_beside(&self, open: Open) -> Option<JoinHandle<()>> {
+        let health = self.health.clone();
+        let thread = std::thread::Builder::new().name("disk-end".to_owned());
+        let ending = thread.spawn(move || end(open, &health));
+        if let Err(error) = &ending {
+            tracing::error!(%error, "no thread to end a recording: it stays as after a kill (pitchd recover)");
+            self.health.clips_lost.fetch_add(1, Ordering::Relaxed);
         }
+        ending.ok()
     }
 
     fn failed(&self, error: &RecordingError, frames: u64) {
-        self.health.clips_lost.fetch_add(1, Ordering::Relaxed);
-        self.health.frames_lost.fetch_add(frames, Ordering::Relaxed);
-        tracing::error!(%error, "not recorded; pitches go on");
+        failed(&self.health, error, frames);
     }
 
     fn open(&self, kind: &str) -> Result<Open, RecordingError> {
-        keep_quota(&self.config.folder, self.config.quota_bytes)?;
+        // Room for the session that begins is kept free.
+        let quota = self.config.quota_bytes;
+        keep_quota(&self.config.folder, quota - quota / QUOTA_PARTS)?;
         let name = format!("{kind}-{}", SystemClock.unix_nanos() / 1_000_000);
         let options = SessionOptions {
             rig_toml: self.rig_toml.clone(),
@@ -184,8 +210,24 @@ impl ClipDisk {
             cameras: BTreeMap::new(),
             since: Instant::now(),
             frames: 0,
+            bytes: 0,
         })
     }
+}
+
+fn end(open: Open, health: &RecorderHealth) {
+    match open.finish() {
+        Ok(_) => {
+            health.clips.fetch_add(1, Ordering::Relaxed);
+        }
+        Err(error) => failed(health, &error, 0),
+    }
+}
+
+fn failed(health: &RecorderHealth, error: &RecordingError, frames: u64) {
+    health.clips_lost.fetch_add(1, Ordering::Relaxed);
+    health.frames_lost.fetch_add(frames, Ordering::Relaxed);
+    tracing::error!(%error, "not recorded; pitches go on");
 }
 
 /// Removes the oldest recordings until the folder is below its quota. Only folders that the recorder itself named.

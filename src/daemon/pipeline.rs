@@ -27,7 +27,7 @@
 //! | `publish` | pitches | files, lines | (7) 64 lines | the line is dropped, counted |
 //! | `cap-<id>` | | frames, the same memory | (9) 64 frames | the frame is not recorded, counted |
 //! | `record` | (9), (11) | clips | (10) 4 clips, or 64 frames of a continuous recording | the clip or frame is lost, counted |
-//! | `disk` | (10) | session folders | – | blocks alone |
+//! | `disk` | (10) | session folders; `disk-end` ends the last one | – | blocks alone |
 //! | main | SIGHUP | new settings, to `assemble`, `record` and `disk` | 4 each | refused, logged; the old ones hold |
 //! | `print` | lines | standard output | – | blocks alone |
 //!
@@ -309,6 +309,7 @@ fn start_recorder(
         rig_toml: std::fs::read_to_string(&config.rig).unwrap_or_default(),
         calibration: config.results.join("calibration.json"),
         health: health.clone(),
+        session_bytes_least: 256 << 20,
     };
     threads.push(named("record".into(), move || {
         recorder.run(&frames, &clips, &recorder_configs);
@@ -371,7 +372,11 @@ fn frames_held(eye: &EyeConfig) -> usize {
     3 * eye.detector.lag_frames_max.max(eye.detector.lag_frames) + 3
 }
 
-fn live_options(
+/// How the daemon opens a camera.
+///
+/// # Errors
+/// [`DaemonError::NotInRig`].
+pub fn live_options(
     config: &DaemonConfig,
     connection: &CameraConnection,
     rig: &Rig,

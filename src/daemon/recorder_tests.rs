@@ -49,6 +49,7 @@ fn disk_thread_of(config: RecordConfig, health: &Arc<RecorderHealth>) -> ClipDis
         rig_toml: String::new(),
         calibration: "none".into(),
         health: health.clone(),
+        session_bytes_least: 1 << 40,
     }
 }
 
@@ -207,4 +208,50 @@ fn the_disk_takes_settings_while_there_is_nothing_to_write() {
         }
         drop((configs_in, jobs_in));
     });
+}
+
+#[test]
+fn a_continuous_recording_keeps_to_its_quota_while_it_runs() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = RecordConfig {
+        quota_bytes: 8 << 20,
+        memory_bytes: 1 << 30,
+        ..config(folder.path(), RecordMode::Continuous)
+    };
+    let health = Arc::new(RecorderHealth::default());
+    let (jobs_in, jobs) = bounded::<DiskJob>(4);
+    let disk = ClipDisk {
+        session_bytes_least: 1000,
+        ..disk_thread_of(config, &health)
+    };
+    let mut most = 0;
+    std::thread::scope(|scope| {
+        scope.spawn(move || disk.run(&jobs));
+        // 40 MiB of frames, five times the quota.
+        for k in 1..=20_480 {
+            let RecordedLive {
+                camera,
+                frame,
+                exposure_s,
+            } = live("first", k);
+            let held = HeldFrame::new(camera, frame, exposure_s, &health);
+            jobs_in.send(DiskJob::Frame(Arc::new(held))).unwrap();
+            if k % 512 == 0 {
+                most = most.max(bytes_below(folder.path()));
+            }
+        }
+        drop(jobs_in);
+    });
+    println!("at most {most} bytes; {}", health.line());
+    assert_eq!(health.frames.load(Ordering::Relaxed), 20_480);
+    assert!((4 << 20..10 << 20).contains(&most), "{most}");
+    assert_eq!(health.held_bytes.load(Ordering::Relaxed), 0);
+}
+
+fn bytes_below(folder: &Path) -> u64 {
+    let files = sessions(folder)
+        .into_iter()
+        .filter_map(|s| std::fs::read_dir(s).ok());
+    let files = files.flatten().flatten().filter_map(|e| e.metadata().ok());
+    files.map(|m| m.len()).sum()
 }
