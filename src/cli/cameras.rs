@@ -32,13 +32,18 @@ struct Row {
     protocol: String,
     /// Held by a program; unknown for USB.
     in_use: Option<bool>,
+    /// Host of that program, where the camera tells it.
+    in_use_by: Option<Ipv4Addr>,
 }
 
 impl From<Found> for Row {
     fn from(found: Found) -> Self {
+        let patience = Duration::from_millis(200);
+        let in_use = aravis::is_held(found.address, patience);
         Self {
             id: format!("{}-{}-{}", found.vendor, found.model, found.serial),
-            in_use: aravis::is_held(found.address, Duration::from_millis(200)),
+            in_use,
+            in_use_by: aravis::holder(found.address, patience).filter(|_| in_use == Some(true)),
             vendor: found.vendor,
             model: found.model,
             serial: found.serial,
@@ -60,6 +65,7 @@ impl From<ListedDevice> for Row {
             user_name: String::new(),
             protocol: device.protocol,
             in_use: None,
+            in_use_by: None,
         }
     }
 }
@@ -95,7 +101,7 @@ pub fn run(args: &CamerasArgs) -> anyhow::Result<()> {
         say_line!("no camera found (pitchd check looks at the host)");
     } else {
         say_line!(
-            "{:<16} {:<16} {:<20} {:<16} {:<12} {:<8} id",
+            "{:<16} {:<16} {:<20} {:<16} {:<12} {:<20} id",
             "address",
             "serial",
             "model",
@@ -104,9 +110,14 @@ pub fn run(args: &CamerasArgs) -> anyhow::Result<()> {
             "in use"
         );
         for row in &rows {
-            let in_use = row.in_use.map_or("?", |b| if b { "yes" } else { "no" });
+            let in_use = match (row.in_use, row.in_use_by) {
+                (Some(true), Some(host)) => format!("by {host}"),
+                (Some(true), None) => "yes".to_owned(),
+                (Some(false), _) => "no".to_owned(),
+                (None, _) => "?".to_owned(),
+            };
             say_line!(
-                "{:<16} {:<16} {:<20} {:<16} {:<12} {:<8} {}",
+                "{:<16} {:<16} {:<20} {:<16} {:<12} {:<20} {}",
                 row.address,
                 row.serial,
                 row.model,

@@ -2,12 +2,12 @@
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use rustix::process::{Resource, getrlimit};
 
-use crate::capture::aravis;
-use crate::config::{DaemonConfig, load_daemon, load_rig};
+use super::check_cameras;
+use crate::config::{load_daemon, load_rig};
 
 /// Check host and cameras.
 #[derive(Debug, clap::Args)]
@@ -16,7 +16,8 @@ Examples:
   pitchd check
   pitchd check --config /etc/pitchd/pitchd.toml --json
 
-Exit code 1 if anything fails; warnings do not.")]
+With --config every camera of it that no program holds is opened as `pitchd run` would open it, and its frames are
+watched for a second. Exit code 1 if anything fails; warnings do not.")]
 pub struct CheckArgs {
     /// Check this configuration and its cameras too.
     #[arg(long, value_name = "FILE")]
@@ -28,19 +29,19 @@ pub struct CheckArgs {
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
-enum Verdict {
+pub(super) enum Verdict {
     Ok,
     Warn,
     Fail,
 }
 
 #[derive(Debug, serde::Serialize)]
-struct Line {
-    verdict: Verdict,
-    what: String,
-    found: String,
+pub(super) struct Line {
+    pub verdict: Verdict,
+    pub what: String,
+    pub found: String,
     /// The command that mends it.
-    mend: Option<String>,
+    pub mend: Option<String>,
 }
 
 const SOCKET_BUFFER_BYTES: u64 = 32 << 20;
@@ -76,7 +77,7 @@ pub fn run(args: &CheckArgs) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn line(verdict: Verdict, what: &str, found: String, mend: Option<&str>) -> Line {
+pub(super) fn line(verdict: Verdict, what: &str, found: String, mend: Option<&str>) -> Line {
     Line {
         verdict,
         what: what.to_owned(),
@@ -224,6 +225,7 @@ fn config_lines(path: &Path) -> Vec<Line> {
     )];
     match load_rig(&config.rig) {
         Ok(rig) => {
+            lines.extend(check_cameras::lines(&config, &rig));
             for camera in config.cameras.iter().filter(|c| rig.index_of(&c.id).is_none()) {
                 let found = format!("camera `{}` is not in {}", camera.id, config.rig.display());
                 lines.push(line(Verdict::Fail, "rig", found, None));
@@ -236,47 +238,6 @@ fn config_lines(path: &Path) -> Vec<Line> {
             ));
         }
         Err(error) => lines.push(line(Verdict::Fail, "rig", error.to_string(), None)),
-    }
-    lines.extend(camera_lines(&config));
-    lines
-}
-
-fn camera_lines(config: &DaemonConfig) -> Vec<Line> {
-    let mut lines = Vec::new();
-    for camera in &config.cameras {
-        let what = format!("camera {}", camera.id);
-        let Some(address) = camera.address else {
-            continue;
-        };
-        let verdict = match aravis::ping(address, Duration::from_millis(300)) {
-            None => line(
-                Verdict::Fail,
-                &what,
-                format!("no answer from {address}"),
-                Some("check power, cable and address; pitchd cameras lists what is there"),
-            ),
-            Some(found) if camera.serial.as_ref().is_some_and(|s| *s != found.serial) => line(
-                Verdict::Fail,
-                &what,
-                format!("{address} is serial {}, not the one configured", found.serial),
-                Some("correct serial or address in the configuration"),
-            ),
-            Some(found) => match aravis::is_held(address, Duration::from_millis(300)) {
-                Some(true) => line(
-                    Verdict::Warn,
-                    &what,
-                    format!("{} at {address} is held by a program", found.serial),
-                    Some("stop that program (or this is the running daemon)"),
-                ),
-                _ => line(
-                    Verdict::Ok,
-                    &what,
-                    format!("{} {} at {address}", found.model, found.serial),
-                    None,
-                ),
-            },
-        };
-        lines.push(verdict);
     }
     lines
 }

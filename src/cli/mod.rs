@@ -5,6 +5,7 @@ pub mod terminal;
 
 mod cameras;
 mod check;
+mod check_cameras;
 mod emulate;
 mod evaluate;
 mod evaluate_bound;
