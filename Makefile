@@ -1,8 +1,9 @@
 # make demo   installs what the build needs, builds, replays the bundled recording, prints its pitches
 # make test   every test
 # make install   program, unit, sysctl, udev, sysusers, tmpfiles, manual pages and completions below DESTDIR
+# make deb    the same as a Debian package, in target/deb (`cargo deb` makes it too)
 # make bench  every benchmark (ratios against a named baseline of the same run)
-.PHONY: demo test bench packages lint install
+.PHONY: demo test bench packages lint install deb
 
 CARGO_TARGET_DIR ?= target
 export CARGO_TARGET_DIR
@@ -26,9 +27,11 @@ packages:
 	@.ci/install-packages
 
 DESTDIR ?=
+# Another program than a release build: make deb PROGRAM=path
+PROGRAM ?= $(CARGO_TARGET_DIR)/release/pitchd
 install:
-	cargo build --locked --release
-	install -D -m 755 $(CARGO_TARGET_DIR)/release/pitchd $(DESTDIR)/usr/bin/pitchd
+	test "$(origin PROGRAM)" = "command line" || cargo build --locked --release
+	install -D -m 755 $(PROGRAM) $(DESTDIR)/usr/bin/pitchd
 	install -D -m 644 systemd/pitchd.service $(DESTDIR)/usr/lib/systemd/system/pitchd.service
 	install -D -m 644 systemd/60-pitchd.sysctl.conf $(DESTDIR)/usr/lib/sysctl.d/60-pitchd.conf
 	install -D -m 644 systemd/70-pitchd-usb3vision.rules $(DESTDIR)/usr/lib/udev/rules.d/70-pitchd-usb3vision.rules
@@ -38,3 +41,12 @@ install:
 	$(DESTDIR)/usr/bin/pitchd man --out $(DESTDIR)/usr/share/man/man1
 	$(DESTDIR)/usr/bin/pitchd completions bash > $(DESTDIR)/usr/share/bash-completion/completions/pitchd
 	$(DESTDIR)/usr/bin/pitchd completions zsh > $(DESTDIR)/usr/share/zsh/vendor-completions/_pitchd
+
+DEB ?= $(CARGO_TARGET_DIR)/deb
+deb:
+	rm -rf $(DEB)/root
+	$(MAKE) install DESTDIR=$(DEB)/root $(if $(filter command line,$(origin PROGRAM)),PROGRAM=$(PROGRAM))
+	strip $(DEB)/root/usr/bin/pitchd
+	install -D -m 644 README.md $(DEB)/root/usr/share/doc/pitchd/README.md
+	cat LICENSE LICENSE-MIT LICENSE-APACHE > $(DEB)/root/usr/share/doc/pitchd/copyright
+	systemd/debian/pack $(DEB)
