@@ -1,6 +1,7 @@
 //! The fault drill, in one go and with pitches going on: cameras killed, cut off, slowed and frozen, the disk full, the
-//! reader of the pitches standing still, a broken configuration, and at last the daemon itself killed in mid-pitch. All
-//! in namespaces of its own. No pitch that two healthy cameras saw may be lost, and none may be wrong.
+//! reader of the pitches standing still, a broken configuration, a second camera with the serial number of another, and at
+//! last the daemon itself killed in mid-pitch. All in namespaces of its own. No pitch that two healthy cameras saw may be
+//! lost, and none may be wrong.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may")]
 
@@ -18,6 +19,8 @@ use pitchd::scene::CameraId;
 use pitchd::time::{HostClock, SystemClock};
 
 const CAMERAS: [&str; 3] = ["first", "third", "far"];
+/// The namespace of a camera that should not be there.
+const TWIN: usize = 3;
 /// The session is shown again every so many seconds: two pitches.
 const EVERY_S: f64 = 4.5;
 
@@ -208,10 +211,13 @@ fn configure(folder: &Path) {
                       every_pitches = 4\n[record]\nmode = \"clips\"\nfolder = \"recordings\"\nmemory_mib = 64\n"
         .to_owned();
     for (k, id) in CAMERAS.iter().enumerate() {
-        config += &format!(
-            "[[camera]]\nid = \"{id}\"\naddress = \"{}\"\npacket_size = 8000\nrealtime_priority = 20\n",
-            Lab::address(k)
-        );
+        // The last is known by its serial number alone, wherever it is.
+        let which = match k {
+            2 => "serial = \"EMU-far\"".to_owned(),
+            _ => format!("address = \"{}\"", Lab::address(k)),
+        };
+        config +=
+            &format!("[[camera]]\nid = \"{id}\"\n{which}\npacket_size = 8000\nrealtime_priority = 20\n");
     }
     std::fs::write(folder.join("pitchd.toml"), config).unwrap();
 }
@@ -246,7 +252,7 @@ impl Drill {
     }
 
     /// Every fault but the last; the disk is full and the reader stands still all the while.
-    fn faults(&self, first: &mut Reaped, third: &mut Reaped) {
+    fn faults(&self, [first, third, far]: [&mut Reaped; 3]) {
         // kill -9, and back with a clock that began elsewhere.
         let at = self.now();
         third.0.kill().unwrap();
@@ -271,6 +277,8 @@ impl Drill {
         let at = self.wait(at, &["third Degraded"]);
         let at = self.wait(at, &["third Streaming"]);
 
+        self.twin(far);
+
         // A broken configuration changes nothing; nor does one that gives two cameras one device. A good one does.
         let path = self.folder.join("pitchd.toml");
         let good = std::fs::read_to_string(&path).unwrap();
@@ -294,6 +302,41 @@ impl Drill {
             self.wait(from, &[answer]);
         }
         self.wait(at, &["first Streaming", "third Streaming", "far Streaming"]);
+    }
+
+    /// A second camera with the last one's serial number: nobody minds while the true one streams. When that is to be
+    /// found again, two answer, and neither is guessed at until the false one is gone.
+    fn twin(&self, far: &mut Reaped) {
+        let address = Lab::address(TWIN);
+        let arguments = [
+            "emulate",
+            "pattern:1056x176",
+            "--rate",
+            "80",
+            "--camera",
+            "far",
+            "--address",
+            &address,
+        ];
+        let file = |end: &str| self.folder.join(format!("twin.{end}"));
+        let namespace = self.lab.camera(TWIN);
+        let twin = Lab::start((&namespace, Some(30)), &arguments, &file("out"), &file("log"));
+        let twin = Reaped(twin);
+        let at = self.now();
+        std::thread::sleep(Duration::from_secs(1));
+        let at = self.wait(at, &["far Streaming"]);
+        say(far, "reboot 0.3");
+        let places = format!("{} and {address}", Lab::address(2));
+        let at = self.wait(
+            at,
+            &[
+                "2 cameras answer to serial EMU-far",
+                &places,
+                "give `address` too",
+            ],
+        );
+        drop(twin);
+        self.wait(at, &["far Streaming"]);
     }
 
     /// Kills the daemon while a ball flies and starts it again; answers when it was killed and streams again, Unix time.
@@ -324,7 +367,7 @@ fn number(log: &str, camera: &str, word: &str) -> u64 {
 
 #[test]
 fn pitches_go_on_through_every_fault() {
-    let lab = match Lab::new('d', CAMERAS.len()) {
+    let lab = match Lab::new('d', CAMERAS.len() + 1) {
         Ok(lab) => lab,
         Err(why) => return println!("skipped: no network namespaces here: {why}"),
     };
@@ -336,7 +379,7 @@ fn pitches_go_on_through_every_fault() {
     let start_s = unix_s() + 2.0;
     let mut first = emulator(&lab, (folder, start_s), 0, "");
     let mut third = emulator(&lab, (folder, start_s), 1, "clock_offset_s=1000,skew_ppm=30");
-    let _far = emulator(&lab, (folder, start_s), 2, "skew_ppm=-20");
+    let mut far = emulator(&lab, (folder, start_s), 2, "skew_ppm=-20");
     // Standard output is a pipe whose reader will stand still.
     let (out, log) = (folder.join("out"), folder.join("log"));
     assert!(Command::new("mkfifo").arg(&out).status().unwrap().success());
@@ -354,7 +397,7 @@ fn pitches_go_on_through_every_fault() {
     let streaming_s = unix_s();
     drill.wait(0, &["a calibration is in use"]);
     signal(&reader, "-STOP");
-    drill.faults(&mut first, &mut third);
+    drill.faults([&mut first, &mut third, &mut far]);
     let before = drill.text();
     let (killed_s, again_s) = drill.kill_in_mid_pitch(&thrown);
     println!("streaming again {:.1} s after kill -9", again_s - killed_s);
@@ -371,7 +414,30 @@ fn pitches_go_on_through_every_fault() {
     println!("{}", states.collect::<Vec<_>>().join("\n"));
     assert!(again_s - killed_s < 5.0, "{} s", again_s - killed_s);
     let silences: Vec<&str> = before.split("silent_ms").skip(1).collect();
-    assert_eq!(silences.len(), 2, "two losses:\n{before}");
+    assert_eq!(silences.len(), 3, "killed, cut off, power-cycled:\n{before}");
+    // The reader stood still from before the first fault: its lines were dropped, and nothing else noticed.
+    let untaken = before.lines().rev().find_map(|l| {
+        l.split(" lines not taken")
+            .next()?
+            .rsplit(' ')
+            .next()?
+            .parse::<u32>()
+            .ok()
+    });
+    println!("{untaken:?} lines not taken");
+    assert!(
+        untaken.is_some_and(|n| n > 0),
+        "the reader did not stand in the way:\n{before}"
+    );
+    let status = before
+        .lines()
+        .rev()
+        .find(|l| l.contains("first Streaming: "))
+        .unwrap();
+    assert!(
+        status.contains("lost 0 times") && status.contains(" 0 dropped before"),
+        "{status}"
+    );
     let (frames, processed) = (
         number(&log, "first", " frames"),
         number(&log, "first", " processed"),

@@ -160,7 +160,96 @@ fn cameras_and_check_say_what_is_there() {
         let found = lines.as_array().unwrap().iter().find(|l| l["what"] == what);
         found.map(|l| l["verdict"].as_str().unwrap().to_owned())
     };
-    assert_eq!(verdict("camera first").as_deref(), Some("ok"));
+    let found = |what: &str| {
+        let found = lines.as_array().unwrap().iter().find(|l| l["what"] == what);
+        found.map(|l| l["found"].as_str().unwrap().to_owned()).unwrap()
+    };
+    assert_eq!(
+        verdict("camera first").as_deref(),
+        Some("ok"),
+        "{}",
+        found("camera first")
+    );
+    assert!(
+        found("camera first").contains("40.0 Hz"),
+        "{}",
+        found("camera first")
+    );
     assert_eq!(verdict("camera third").as_deref(), Some("fail"));
     assert!(verdict("socket buffers (net.core.rmem_max)").is_some());
+}
+
+/// Everything recorded by a daemon that is killed is there up to its last second, and whole after `pitchd recover`.
+#[test]
+fn a_killed_daemons_recording_is_whole_up_to_its_last_second() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    rig(folder, &[("first", 21), ("third", 22)]);
+    let config = std::fs::read_to_string(folder.join("pitchd.toml")).unwrap();
+    let record = "[record]\nmode = \"continuous\"\nfolder = \"recordings\"\nmemory_mib = 64\n";
+    let (head, cameras) = config.split_at(config.find("[[camera]]").unwrap());
+    std::fs::write(folder.join("pitchd.toml"), format!("{head}{record}{cameras}")).unwrap();
+    let _cameras = (emulator(21, "K1"), emulator(22, "K2"));
+    let mut daemon = start(folder);
+    let recorded = |folder: &Path| {
+        let mut sessions = std::fs::read_dir(folder.join("recordings")).into_iter().flatten();
+        sessions.next().map(|s| s.unwrap().path())
+    };
+    let at = wait_for(folder, 0, &["first Streaming", "third Streaming"]);
+    let session = loop {
+        if let Some(session) = recorded(folder) {
+            break session;
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    std::thread::sleep(Duration::from_millis(5300));
+    wait_for(folder, at, &["third Streaming"]);
+    daemon.kill().unwrap();
+    daemon.wait().unwrap();
+    let seen = |id: &str| -> u64 {
+        let log = log(folder);
+        let line = log
+            .lines()
+            .rev()
+            .find(|l| l.contains(&format!("{id} Streaming: ")))
+            .unwrap();
+        let number = line.split("Streaming: ").nth(1).unwrap();
+        number.split(' ').next().unwrap().parse().unwrap()
+    };
+    let path = session.to_str().unwrap();
+    assert!(!pitchd(&["info", path]).status.success(), "it was killed");
+    let mended = pitchd(&["recover", path]);
+    println!("{}", String::from_utf8_lossy(&mended.stdout));
+    let whole = pitchd(&["info", path, "--verify", "--json"]);
+    assert!(
+        whole.status.success(),
+        "{}",
+        String::from_utf8_lossy(&whole.stderr)
+    );
+    let reader = pitchd::recording::SessionReader::open(&session).unwrap();
+    for id in ["first", "third"] {
+        let frames = reader.frames(&pitchd::scene::CameraId::new(id).unwrap()).unwrap();
+        let frames: Vec<_> = frames.map(|f| f.frame).collect();
+        let numbers: Vec<u64> = frames.iter().map(|f| f.stamp.frame).collect();
+        println!(
+            "{id}: {} frames, the last is {:?}, {} were seen",
+            frames.len(),
+            numbers.last(),
+            seen(id)
+        );
+        assert!(
+            numbers.windows(2).all(|pair| pair[1] == pair[0] + 1),
+            "{id}: a frame is missing: {numbers:?}"
+        );
+        // 40 Hz: a flush a second, and what was on its way to the disk.
+        let last = *numbers.last().unwrap();
+        assert!(last + 60 >= seen(id), "{id}: {last} of {}", seen(id));
+        let expected: Vec<_> = pattern(SHAPE).take(16).map(|f| f.pixels).collect();
+        assert!(
+            frames
+                .iter()
+                .all(|f| expected.iter().any(|e| e[..] == *f.bytes())),
+            "{id}"
+        );
+    }
 }
