@@ -18,6 +18,9 @@ const LOOK_AHEAD: usize = 10;
 const WINDOW: usize = 10;
 /// Rms distance of a smooth window from a parabola, pixels (and 2 % of the speed).
 const SMOOTH_RMS_PX: f64 = 0.6;
+/// Parts of a path in which a stretch may begin to grow, and the share of the path's largest speed that it needs.
+const PARTS: usize = 4;
+const FAST_SHARE: f64 = 0.6;
 /// Points that a stretch's growth looks back on, its gate in σ and at most in pixels.
 const GROW_BACK: usize = 30;
 const GROW_SIGMAS: f64 = 3.0;
@@ -29,14 +32,17 @@ const TRIM_RMS_PX: f64 = 0.9;
 /// many.
 const TRIM_PLACES: usize = 6;
 const FINE_PLACES: usize = 24;
+/// Points beyond the smooth stretch that the polish decides about.
+const SPARED: usize = 5;
 const TRIM_SHARE: usize = 16;
 /// Last points left out before a path is followed on.
 const LEFT_OUT: [usize; 3] = [0, 4, 8];
 /// So few points after a gap of more than so many frames do not belong to a path.
 const STRAGGLERS_MAX: usize = 3;
 const STRAGGLER_GAP: f64 = 5.5;
-/// This many points in a row off the path end it.
+/// This many points in a row far off the path end it, or this many a little off.
 const STRAYS_MAX: usize = 4;
+const NEAR_STRAYS_MAX: usize = 8;
 
 /// The ball of a path, with the detections it took; `None` where it is none.
 pub fn conclude(
@@ -46,18 +52,25 @@ pub fn conclude(
     history: &VecDeque<FramePoints>,
 ) -> Option<(Vec<Point>, TrackedBall)> {
     let core = free_flight(&hypothesis.points)?;
-    let points = trim_ends(extend(config, core, history));
-    let track = Track {
-        camera: camera.clone(),
-        track: 0,
-        points: points.iter().map(point_of).collect(),
+    let all = extend(config, core, history);
+    let smooth = smooth_part(&all)?;
+    // A bent begin takes places from the end: the polish decides about the next few at either end.
+    let spared = smooth.start.saturating_sub(SPARED)..(smooth.end + SPARED).min(all.len());
+    let (smooth, points) = (all.get(smooth)?, all.get(spared)?.to_vec());
+    let polished = |points: &[Point]| {
+        let track = Track {
+            camera: camera.clone(),
+            track: 0,
+            points: points.iter().map(point_of).collect(),
+        };
+        polish(&track, CENTROID_FLOOR_PX)
     };
-    let track = polish(&track, CENTROID_FLOOR_PX)?;
-    let mut radii: Vec<f64> = points.iter().map(|p| p.detection.radius_px).collect();
+    let mut radii: Vec<f64> = smooth.iter().map(|p| p.detection.radius_px).collect();
     radii.sort_by(f64::total_cmp);
     let radius_px = radii.get(radii.len() / 2).copied()?;
-    let shape = TrackShape::measure(&track, radius_px)?;
+    let shape = TrackShape::measure(&polished(smooth)?, radius_px)?;
     let kind = shape.kind(config);
+    let track = polished(&points)?;
     if track.points.len() < config.points_min {
         return None;
     }
@@ -72,21 +85,37 @@ pub fn conclude(
     ))
 }
 
-/// The longest smooth stretch around the fastest smooth window: a path may have begun in the arm and may end
-/// in the glove.
+/// The longest smooth stretch around a fast smooth window: a path may have begun in the arm and may end in the glove.
+/// Growth may stop where an edge of shadow displaces the centroids, so it begins at the fastest window of every part of the
+/// path that is fast.
 pub fn free_flight(points: &[Point]) -> Option<Vec<Point>> {
     let window = WINDOW.min(points.len());
-    let (begin, _) = points
-        .windows(window)
-        .enumerate()
-        .filter_map(|(i, stretch)| Some((i, smooth_speed(stretch)?)))
-        .max_by(|a, b| a.1.total_cmp(&b.1))?;
-    let mut forward: Vec<Point> = points.get(begin..begin + window)?.to_vec();
-    grow(&mut forward, points.get(begin + window..).unwrap_or(&[]).iter());
-    forward.reverse();
-    grow(&mut forward, points.get(..begin).unwrap_or(&[]).iter().rev());
-    forward.reverse();
-    Some(forward)
+    let speeds: Vec<Option<f64>> = points.windows(window).map(smooth_speed).collect();
+    let fastest = speeds.iter().flatten().copied().fold(0.0, f64::max);
+    let part = speeds.len().div_ceil(PARTS).max(1);
+    let begins = speeds.chunks(part).enumerate().filter_map(|(i, speeds)| {
+        let known = speeds
+            .iter()
+            .enumerate()
+            .filter_map(|(j, speed)| Some((i * part + j, (*speed)?)));
+        let (begin, speed) = known.max_by(|a, b| a.1.total_cmp(&b.1))?;
+        (speed >= FAST_SHARE * fastest).then_some(begin)
+    });
+    let stretches = begins.filter_map(|begin| grown_from(points, begin..begin + window));
+    stretches.max_by_key(Vec::len)
+}
+
+/// The smooth stretch around a window.
+fn grown_from(points: &[Point], window: Range<usize>) -> Option<Vec<Point>> {
+    let mut stretch: Vec<Point> = points.get(window.clone())?.to_vec();
+    grow(&mut stretch, points.get(window.end..).unwrap_or(&[]).iter());
+    stretch.reverse();
+    grow(
+        &mut stretch,
+        points.get(..window.start).unwrap_or(&[]).iter().rev(),
+    );
+    stretch.reverse();
+    Some(stretch)
 }
 
 /// Speed over a stretch in pixels per frame, if it is smooth.
@@ -102,9 +131,10 @@ fn smooth_speed(stretch: &[Point]) -> Option<f64> {
     (rms < SMOOTH_RMS_PX + 0.02 * speed).then_some(speed)
 }
 
-/// Adds the points that go on smoothly; stops when several in a row do not.
+/// Adds the points that go on smoothly; stops when several in a row do not. Points a little off (at an edge of shadow a
+/// centroid jumps by the ball's radius) are of the path if it goes on behind them.
 fn grow<'a>(path: &mut Vec<Point>, next: impl Iterator<Item = &'a Point>) {
-    let mut strays = 0;
+    let (mut far_strays, mut near_strays) = (0, Vec::with_capacity(NEAR_STRAYS_MAX));
     for point in next {
         let Some(last) = path.last().copied() else { return };
         let from = path.len().saturating_sub(GROW_BACK);
@@ -127,13 +157,18 @@ fn grow<'a>(path: &mut Vec<Point>, next: impl Iterator<Item = &'a Point>) {
             curve.variance_px2(point.t) + point.sample().variance_px2 + light_variance_px2(&last, point);
         let miss = (point.position() - curve.position(point.t)).norm();
         if miss < GROW_SIGMAS * variance.sqrt() && miss < GROW_MAX_PX {
+            path.append(&mut near_strays);
             path.push(*point);
-            strays = 0;
+            far_strays = 0;
+            continue;
+        }
+        if miss < GROW_MAX_PX {
+            near_strays.push(*point);
         } else {
-            strays += 1;
-            if strays >= STRAYS_MAX {
-                return;
-            }
+            far_strays += 1;
+        }
+        if far_strays >= STRAYS_MAX || near_strays.len() >= NEAR_STRAYS_MAX {
+            return;
         }
     }
 }
@@ -141,7 +176,7 @@ fn grow<'a>(path: &mut Vec<Point>, next: impl Iterator<Item = &'a Point>) {
 /// The longest stretch that is smooth as a whole: what the hand and the glove add bends it. Ever shorter stretches are
 /// tried at a few places each, then those between the first smooth one and the last that was not: all lengths and places
 /// of a rough path of hundreds of points would be tens of thousands of fits.
-fn trim_ends(points: Vec<Point>) -> Vec<Point> {
+fn smooth_part(points: &[Point]) -> Option<Range<usize>> {
     let is_smooth = |range: &Range<usize>| {
         let stretch = points.get(range.clone());
         stretch.is_some_and(|stretch| roughness_px(stretch) < TRIM_RMS_PX)
@@ -157,14 +192,14 @@ fn trim_ends(points: Vec<Point>) -> Vec<Point> {
     let (mut length, mut rough_length) = (points.len(), points.len());
     while length > WINDOW {
         if let Some(found) = smooth_of(length, TRIM_PLACES) {
-            let between = (length + 1..rough_length).rev().step_by(TRIM_STEP);
-            let longer = between.filter_map(|length| smooth_of(length, FINE_PLACES)).next();
-            return points.get(longer.unwrap_or(found)).unwrap_or(&[]).to_vec();
+            let mut between = (length + 1..rough_length).rev().step_by(TRIM_STEP);
+            let longer = between.find_map(|length| smooth_of(length, FINE_PLACES));
+            return Some(longer.unwrap_or(found));
         }
         rough_length = length;
         length -= (length / TRIM_SHARE).max(TRIM_STEP).min(length);
     }
-    Vec::new()
+    None
 }
 
 /// Rms distance from one smooth curve.

@@ -10,6 +10,8 @@ const ROUGHNESS_MAX_PX: f64 = 1.5;
 /// Balls fly the same way when the cosine between them is above this, and are of one size within this log ratio.
 const SAME_WAY_COSINE: f64 = 0.5;
 const SAME_SIZE_LOG: f64 = 0.6;
+/// Nothing smaller can be told from noise, pixels: a glint of 0.5 px is as slow as a ball of this size.
+const RADIUS_MIN_PX: f64 = 1.2;
 /// Points over which the peak speed is measured.
 const PEAK_POINTS: usize = 8;
 
@@ -103,13 +105,13 @@ impl TrackShape {
 
     /// Largest speed across the line of sight in ball radii per second.
     pub fn speed_radii_per_s(&self) -> f64 {
-        self.peak_speed_px_per_s / self.radius_px.max(0.1)
+        self.peak_speed_px_per_s / self.radius_px.max(RADIUS_MIN_PX)
     }
 
     /// First to last point in ball radii.
     pub fn path_radii(&self) -> f64 {
         let [vx, vy] = self.velocity_px_per_s;
-        vx.hypot(vy) * self.span_s / self.radius_px.max(0.1)
+        vx.hypot(vy) * self.span_s / self.radius_px.max(RADIUS_MIN_PX)
     }
 
     /// The kind this shape alone allows.
