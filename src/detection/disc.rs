@@ -39,9 +39,7 @@ pub const RIM_DEPTH_MIN: f64 = 0.1;
 const INSTANTS: (f64, f64) = (1.2, 0.5);
 /// Most instants of a sweep.
 const INSTANTS_MAX: usize = 32;
-/// Steps of the edge table per pixel.
-pub const EDGE_STEPS_PER_PX: f64 = 64.0;
-/// The edge table ends this many σ from the edge.
+/// The blurred edge ends this many σ from the edge.
 pub const EDGE_REACH_SIGMAS: f64 = 4.0;
 
 /// A vector of all parameters.
@@ -49,66 +47,23 @@ pub type Parameters = SVector<f64, PARAMETERS>;
 /// A matrix over all parameters.
 pub type Information = SMatrix<f64, PARAMETERS, PARAMETERS>;
 
-/// The blurred edge of a disc as a table of coverage and slope over the distance from the edge.
-#[derive(Debug, Clone)]
+/// The edge of a disc blurred by a Gaussian.
+#[derive(Debug, Clone, Copy)]
 pub struct Edge {
     /// σ of the blur, pixels.
     pub sigma_px: f64,
-    /// Distance from the edge beyond which there is nothing, or all, of the ball, pixels.
-    pub reach_px: f64,
-    /// Per place, [`EDGE_STEPS_PER_PX`] to a pixel from `reach_px` outside on: coverage, slope, shift and follow, and
-    /// how much each changes to the next place. The last is well inside.
-    pub pairs: Vec<[f64; 8]>,
     /// Of the machine, for the loops over pixels.
     pub kernels: Kernels,
 }
 
 impl Edge {
-    /// An edge blurred by a Gaussian.
+    /// An edge of this blur.
     pub fn new(sigma_px: f64) -> Self {
-        let reach_px = EDGE_REACH_SIGMAS * sigma_px;
-        let count = (2.0 * reach_px * EDGE_STEPS_PER_PX).ceil() as usize + 2;
-        let rims: Vec<[f64; 4]> = (0..count)
-            .map(|i| {
-                let inside = i as f64 / EDGE_STEPS_PER_PX - reach_px;
-                let z = inside / sigma_px;
-                let density = (-0.5 * z * z).exp() / (2.0 * std::f64::consts::PI).sqrt();
-                let coverage = normal_cdf(z);
-                let cut = density / coverage;
-                [
-                    coverage,
-                    density / sigma_px,
-                    sigma_px * cut,
-                    1.0 - cut * (z + cut),
-                ]
-            })
-            .collect();
-        let mut pairs: Vec<[f64; 8]> = rims
-            .windows(2)
-            .filter_map(|pair| {
-                let ([a, b, c, d], [e, f, g, h]) = (*pair.first()?, *pair.last()?);
-                Some([a, b, c, d, e - a, f - b, g - c, h - d])
-            })
-            .collect();
-        pairs.push([1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0]);
         Self {
             sigma_px,
-            reach_px,
-            pairs,
             kernels: Kernels::new(Isa::widest()),
         }
     }
-}
-
-/// Φ(z), to 1e-7 (Abramowitz and Stegun 7.1.26).
-fn normal_cdf(z: f64) -> f64 {
-    let x = z.abs() / std::f64::consts::SQRT_2;
-    let t = 1.0 / (1.0 + 0.327_591_1 * x);
-    let series = t
-        * (0.254_829_592
-            + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
-    let tail = 0.5 * series * (-x * x).exp();
-    if z >= 0.0 { 1.0 - tail } else { tail }
 }
 
 /// The exposure as a few instants with weights (Gauss and Legendre's).
@@ -175,7 +130,6 @@ mod tests {
             let sweep = Sweep::new(Vector2::new(sx, sy), edge.sigma_px);
             let Some((_, here)) = one_pixel(x, 60.0, &p, (&sweep, &edge)) else { return Ok(()) };
             for i in 0..PARAMETERS {
-                // Wider than a step of the edge table, at whose knots the slope jumps.
                 let h = 0.02;
                 let (mut up, mut down) = (p, p);
                 up[i] += h;

@@ -40,7 +40,7 @@ impl Running {
         Some(Self {
             begin,
             span_s: end.seconds_since(begin.nanos()),
-            edge: edge.clone(),
+            edge: *edge,
             shared: *shared,
             pictures,
         })
@@ -58,7 +58,7 @@ impl Running {
         let span_s = self.span_s.max(1e-9);
         let stretch = end.seconds_since(begin.nanos()).max(1e-9) / span_s;
         let middle = (begin.seconds_since(self.begin.nanos()) / span_s - 0.5) + 0.5 * stretch;
-        Some((self.edge.clone(), self.shared.over(middle, stretch)))
+        Some((self.edge, self.shared.over(middle, stretch)))
     }
 
     /// The picture of a point, for the longer track's place and streak.
