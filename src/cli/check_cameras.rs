@@ -31,6 +31,7 @@ fn try_camera(config: &DaemonConfig, camera: &CameraConnection, rig: &Rig) -> Li
     let options = match live_options(config, camera, rig) {
         Ok(options) => LiveOptions {
             buffers: BUFFERS,
+            buffers_ready: BUFFERS,
             ..options
         },
         Err(error) => return line(Verdict::Fail, &what, error.to_string(), None),

@@ -391,6 +391,7 @@ pub fn live_options(
         address: connection.address,
         user_name: connection.user_name.clone(),
     };
+    let ready = connection.buffers + frames_held(&EyeConfig::of_rig(rig, &connection.id));
     Ok(LiveOptions {
         offset_px: connection.offset_px,
         exposure_s: setup.exposure_s,
@@ -402,9 +403,8 @@ pub fn live_options(
             PacketPath::UdpSocket
         },
         socket_buffer_bytes: connection.socket_buffer_bytes,
-        buffers: connection.buffers
-            + frames_held(&EyeConfig::of_rig(rig, &connection.id))
-            + frames_recorded(config, setup.width_px as usize * setup.height_px as usize),
+        buffers_ready: ready,
+        buffers: ready + frames_recorded(config, setup.width_px as usize * setup.height_px as usize),
         realtime_priority: (connection.realtime_priority > 0).then_some(connection.realtime_priority),
         ptp: if connection.ptp {
             Ptp::WhereAvailable

@@ -116,6 +116,7 @@ impl Supervisor {
                     if self.health.set_state(CameraState::Streaming) {
                         tracing::info!(camera = %self.options.camera, frame = frame.frame.stamp.frame, "frames come");
                     }
+                    self.record(&frame, &camera);
                     self.hand_on(frame);
                 }
                 unusable @ (Next::Incomplete | Next::Misshapen(_)) => {
@@ -142,17 +143,22 @@ impl Supervisor {
         }
     }
 
-    fn hand_on(&self, frame: LiveFrame) {
-        if let Some((recorder, lost)) = &self.record {
-            let recorded = RecordedLive {
-                camera: self.options.camera.clone(),
-                frame: frame.frame.clone(),
-                exposure_s: frame.exposure_s,
-            };
-            if recorder.try_send(recorded).is_err() {
-                lost.frames_lost.fetch_add(1, Ordering::Relaxed);
-            }
+    /// To the recorder, if the camera has memory to spare: that grows while the recorder fills its own.
+    fn record(&self, frame: &LiveFrame, camera: &LiveCamera) {
+        let Some((recorder, lost)) = &self.record else {
+            return;
+        };
+        let recorded = RecordedLive {
+            camera: self.options.camera.clone(),
+            frame: frame.frame.clone(),
+            exposure_s: frame.exposure_s,
+        };
+        if !camera.has_room() || recorder.try_send(recorded).is_err() {
+            lost.frames_lost.fetch_add(1, Ordering::Relaxed);
         }
+    }
+
+    fn hand_on(&self, frame: LiveFrame) {
         if let Err(TrySendError::Full(_)) = self.frames.try_send(frame) {
             self.health.dropped.fetch_add(1, Ordering::Relaxed);
         }

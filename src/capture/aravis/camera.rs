@@ -15,6 +15,7 @@ use super::ffi::{PooledFrame, RawStream, touched_buffer};
 use super::frame_number::FrameNumber;
 use super::open;
 use super::options::LiveOptions;
+use super::pool::BufferMaker;
 use super::probe;
 use crate::scene::{Frame, FrameStamp};
 use crate::time::{
@@ -75,6 +76,9 @@ pub enum Next {
 pub struct CameraMemory {
     home: Sender<Buffer>,
     returns: Receiver<Buffer>,
+    /// Frames that readers have.
+    out: usize,
+    maker: BufferMaker,
     numbers: FrameNumber,
     last_number: u64,
     clock: ClockModel,
@@ -88,6 +92,8 @@ impl Default for CameraMemory {
         Self {
             home,
             returns,
+            out: 0,
+            maker: BufferMaker::new(),
             numbers: FrameNumber::default(),
             last_number: 0,
             clock: ClockModel::new(ClockModelOptions::default()),
@@ -115,6 +121,8 @@ pub struct LiveCamera {
     camera: Camera,
     stream: RawStream,
     payload_bytes: usize,
+    /// Buffers that the library has.
+    in_stream: usize,
     exposure_s: f64,
     packet_size: u32,
     model: String,
@@ -133,28 +141,22 @@ impl LiveCamera {
         open::check_free(options, address)?;
         description::check(&options.camera, address)?;
         let opened = open::open(options, address)?;
-        let live = Self {
+        let mut live = Self {
             options: options.clone(),
             address,
             camera: opened.camera,
             stream: opened.stream,
             payload_bytes: opened.payload_bytes,
+            in_stream: 0,
             exposure_s: opened.exposure_s,
             packet_size: opened.packet_size,
             model: opened.model,
             underruns_seen: 0,
             resends_seen: 0,
         };
-        // Frames still with a reader come home later; memory of another size is let go.
-        let mut given = 0;
-        while let Ok(buffer) = memory.returns.try_recv() {
-            if given < options.buffers && live.fits(&buffer) {
-                live.stream.push(buffer);
-                given += 1;
-            }
-        }
-        for _ in given..options.buffers {
-            live.stream.push(touched_buffer(live.payload_bytes));
+        live.take_back(memory);
+        while live.in_stream < options.ready() {
+            live.push(touched_buffer(live.payload_bytes));
         }
         memory.numbers = FrameNumber::after(memory.last_number);
         memory.clock.restart();
@@ -168,8 +170,35 @@ impl LiveCamera {
         Ok(live)
     }
 
-    fn fits(&self, buffer: &Buffer) -> bool {
-        buffer.data().1 == self.payload_bytes
+    fn push(&mut self, buffer: Buffer) {
+        self.stream.push(buffer);
+        self.in_stream += 1;
+    }
+
+    /// Frames that readers have let go of; memory of another size is let go, and so is more than the pool may have.
+    fn take_back(&mut self, memory: &mut CameraMemory) {
+        while let Ok(buffer) = memory.returns.try_recv() {
+            memory.out = memory.out.saturating_sub(1);
+            let room = self.in_stream + memory.out < self.options.buffers;
+            if room && buffer.data().1 == self.payload_bytes {
+                self.push(buffer);
+            }
+        }
+    }
+
+    /// More buffers where readers keep those that there are.
+    fn grow(&mut self, memory: &mut CameraMemory) {
+        while let Some(buffer) = memory.maker.take(self.payload_bytes) {
+            self.push(buffer);
+        }
+        let room = self.options.buffers.saturating_sub(self.in_stream + memory.out);
+        let missing = self.options.ready().saturating_sub(self.in_stream);
+        memory.maker.ask(self.payload_bytes, room.min(missing));
+    }
+
+    /// Whether a reader that can do without may keep a frame: half of what is to be free is free.
+    pub fn has_room(&self) -> bool {
+        2 * self.in_stream >= self.options.ready()
     }
 
     /// Where it is.
@@ -187,31 +216,32 @@ impl LiveCamera {
 
     /// Waits for the next frame.
     pub fn next(&mut self, memory: &mut CameraMemory, clock: &dyn HostClock, patience: Duration) -> Next {
-        while let Ok(buffer) = memory.returns.try_recv() {
-            self.stream.push(buffer);
-        }
+        self.take_back(memory);
+        self.grow(memory);
         let timeout_us = u64::try_from(patience.as_micros()).unwrap_or(u64::MAX);
         let Some(buffer) = self.stream.pop(timeout_us) else {
             self.count(memory);
             return Next::Nothing;
         };
+        self.in_stream = self.in_stream.saturating_sub(1);
         let (width_px, height_px) = self.options.size_px;
         let count = width_px as usize * height_px as usize;
         // Metadata of a buffer that is not complete is of its previous use.
         let (id, device_ns, arrival_unix_ns) =
             (buffer.frame_id(), buffer.timestamp(), buffer.system_timestamp());
         if let Some(shape) = self.another_shape(&buffer) {
-            self.stream.push(buffer);
+            self.push(buffer);
             memory.counters.misshapen += 1;
             return Next::Misshapen(shape);
         }
         match PooledFrame::new(buffer, count, memory.home.clone()) {
             Err(buffer) => {
-                self.stream.push(buffer);
+                self.push(buffer);
                 memory.counters.incomplete += 1;
                 Next::Incomplete
             }
             Ok(pixels) => {
+                memory.out += 1;
                 let arrival = clock.monotonic_of_unix(arrival_unix_ns);
                 let (stamp, reading, lost_before) = self.stamp(memory, (id, device_ns), arrival);
                 Next::Frame(LiveFrame {
@@ -295,24 +325,23 @@ impl LiveCamera {
         (stamp, reading, lost)
     }
 
-    /// Adds what the library has counted since the last look.
+    /// Adds what the library has counted since the last look. It counts every packet for which there was no buffer.
     fn count(&mut self, memory: &mut CameraMemory) {
-        for (name, seen, ours) in [
-            (
-                "n_underruns",
-                &mut self.underruns_seen,
-                &mut memory.counters.underruns,
-            ),
-            (
-                "n_resend_requests",
-                &mut self.resends_seen,
-                &mut memory.counters.resend_requests,
-            ),
-        ] {
-            let now = self.stream.counter(name);
-            *ours += now.saturating_sub(*seen);
-            *seen = now;
-        }
+        let data = self.packet_size.saturating_sub(36).max(1) as usize;
+        let packets = match self.packet_size {
+            0 => 1,
+            _ => self.payload_bytes.div_ceil(data) as u64 + 2,
+        };
+        let frames = self
+            .stream
+            .counter("n_underruns")
+            .saturating_sub(self.underruns_seen)
+            / packets;
+        memory.counters.underruns += frames;
+        self.underruns_seen += frames * packets;
+        let resends = self.stream.counter("n_resend_requests");
+        memory.counters.resend_requests += resends.saturating_sub(self.resends_seen);
+        self.resends_seen = resends;
     }
 
     /// Whether the camera answers and is still held (by us): `None` when it is silent.

@@ -100,28 +100,37 @@ impl RawStream {
         let side = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
         side.connect((camera, port))?;
         let side = side.local_addr()?.ip();
+        let mut with_port = Vec::new();
         for entry in std::fs::read_dir("/proc/self/fd")?.flatten() {
             let target = std::fs::read_link(entry.path()).unwrap_or_default();
             let number = entry.file_name().to_str().and_then(|name| name.parse().ok());
             let (Some(number), true) = (number, target.to_string_lossy().starts_with("socket:")) else {
                 continue;
             };
-            // SAFETY: nothing is closed or kept: the number is asked for its address, and only the socket that has this
-            // stream's port gets a filter. The stream is alive, so that no other socket can have that address; a number
-            // that was closed meanwhile answers with an error or as another socket, with another address.
+            // SAFETY: nothing is closed or kept: the number is asked for its address and kind. One that was closed
+            // meanwhile answers with an error, or as another socket, with another address.
             let socket = unsafe { BorrowedFd::borrow_raw(number) };
             let socket = SockRef::from(&socket);
             let address = socket.local_addr().ok().and_then(|a| a.as_socket());
-            let ours =
-                address.is_some_and(|a| a.port() == port && (a.ip() == side || a.ip().is_unspecified()));
-            if ours && socket.r#type().is_ok_and(|kind| kind == Type::DGRAM) {
-                return socket.attach_filter(program);
+            let is_udp = socket.r#type().is_ok_and(|kind| kind == Type::DGRAM);
+            if let Some(address) = address.filter(|a| is_udp && a.port() == port) {
+                with_port.push((number, address.ip()));
             }
         }
-        Err(io::Error::new(
-            io::ErrorKind::NotFound,
-            "the stream's socket was not found",
-        ))
+        // Two interfaces in one network: the route may be by the other, but the port is seldom there twice.
+        let faces = with_port
+            .iter()
+            .find(|(_, ip)| *ip == side || ip.is_unspecified());
+        let only = with_port.first().filter(|_| with_port.len() == 1);
+        let Some((number, _)) = faces.or(only) else {
+            return Err(io::Error::new(
+                io::ErrorKind::NotFound,
+                "the stream's socket was not found",
+            ));
+        };
+        // SAFETY: as above; the stream is alive and has this address, so that no other socket can have it.
+        let socket = unsafe { BorrowedFd::borrow_raw(*number) };
+        SockRef::from(&socket).attach_filter(program)
     }
 
     /// Gives a buffer to the receive thread.

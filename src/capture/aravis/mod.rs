@@ -20,6 +20,7 @@ mod guard;
 mod nodes;
 mod open;
 mod options;
+mod pool;
 mod probe;
 
 pub use camera::{CameraMemory, LiveCamera, LiveCounters, LiveFrame, Next, granted_socket_buffer};

@@ -233,7 +233,17 @@ fn set_image(options: &LiveOptions, camera: &Camera) -> Result<(), LiveError> {
     let (x, y) = options.offset_px;
     let [x, y, w, h] = [x, y, width, height].map(|n| i32::try_from(n).unwrap_or(i32::MAX));
     let refused = setting(options, "region", format!("{width}x{height} at {x}, {y}"));
-    camera.set_region(x, y, w, h).map_err(refused)?;
+    camera.set_region(x, y, w, h).map_err(|error| match (refused(error), camera.sensor_size()) {
+        (LiveError::Setting { camera, setting, value, reason }, Ok((most_w, most_h))) => LiveError::Setting {
+            camera,
+            setting,
+            value,
+            reason: format!(
+                "{reason}; the sensor has {most_w}x{most_h}: correct width_px and height_px of the rig, or offset_px"
+            ),
+        },
+        (other, _) => other,
+    })?;
     let (_, _, got_w, got_h) = camera
         .region()
         .map_err(setting(options, "region", "as read back"))?;
@@ -269,7 +279,7 @@ fn set_timing(options: &LiveOptions, camera: &Camera) -> Result<f64, LiveError> 
     if (got_hz - rate_hz).abs() > 0.005 * rate_hz {
         return Err(LiveError::NotKept {
             camera: options.camera.clone(),
-            setting: "frame rate, Hz",
+            setting: "frame rate (Hz)",
             got: got_hz,
             asked: rate_hz,
         });

@@ -68,8 +68,11 @@ pub struct LiveOptions {
     pub path: PacketPath,
     /// Socket buffer, bytes.
     pub socket_buffer_bytes: usize,
-    /// Frames in the pool.
+    /// The most frames in the pool.
     pub buffers: usize,
+    /// Of those, frames that are kept free for the receive thread; the pool grows to its most only as readers keep others.
+    /// Memory is touched as it is made, 2 GiB of it for seconds: a camera must not wait for that.
+    pub buffers_ready: usize,
     /// Priority of the receive and capture threads (SCHED_RR); `None`: ordinary.
     pub realtime_priority: Option<u8>,
     /// Clock discipline.
@@ -91,8 +94,14 @@ impl LiveOptions {
             path: PacketPath::UdpSocket,
             socket_buffer_bytes: 32 << 20,
             buffers: 48,
+            buffers_ready: 48,
             realtime_priority: Some(20),
             ptp: Ptp::Off,
         }
+    }
+
+    /// Frames to be kept free.
+    pub(super) fn ready(&self) -> usize {
+        self.buffers_ready.min(self.buffers).max(1)
     }
 }
