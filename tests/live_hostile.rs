@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may")]
 
+mod lab;
+
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -299,13 +301,15 @@ fn a_hostile_camera_harms_neither_the_daemon_nor_the_other_camera() {
         Emulator::start(&options, shape, pattern(shape)).unwrap()
     };
     let (healthy, hostile) = (camera(101), camera(102));
-    let mut daemon = std::process::Command::new(env!("CARGO_BIN_EXE_pitchd"))
+    let daemon = std::process::Command::new(env!("CARGO_BIN_EXE_pitchd"))
         .args(["-v", "run", "--status-every", "0.2", "--config"])
         .arg(path("pitchd.toml"))
         .stdout(std::process::Stdio::null())
         .stderr(std::fs::File::create(path("log")).unwrap())
         .spawn()
         .unwrap();
+    let mut daemon = lab::Reaped(daemon);
+    let id = daemon.0.id().to_string();
     let mut wait = |wanted: &str, from: usize| {
         let until = Instant::now() + Duration::from_secs(60);
         loop {
@@ -313,7 +317,7 @@ fn a_hostile_camera_harms_neither_the_daemon_nor_the_other_camera() {
             if log[from.min(log.len())..].contains(wanted) {
                 return log.len();
             }
-            assert_eq!(daemon.try_wait().unwrap(), None, "it ended:\n{log}");
+            assert_eq!(daemon.0.try_wait().unwrap(), None, "it ended:\n{log}");
             assert!(Instant::now() < until, "no {wanted:?} in:\n{}", &log[from..]);
             std::thread::sleep(Duration::from_millis(50));
         }
@@ -328,7 +332,7 @@ fn a_hostile_camera_harms_neither_the_daemon_nor_the_other_camera() {
         phases.push((format!("mangle=1,mangling={mangling}"), 0.7));
         phases.push((format!("mangle=0.02,mangling={mangling}"), 0.7));
     }
-    phases.push(("loss=0.6".into(), 3.0));
+    phases.push(("mangle=1,mangling=payload".into(), 3.0));
     phases.push(("mangle=0".into(), 1.0));
     phases.push(("mangle=1,mangling=shape".into(), 3.0));
     // Opened anew while it lies about everything.
@@ -349,7 +353,6 @@ fn a_hostile_camera_harms_neither_the_daemon_nor_the_other_camera() {
     }
     hostile.drill(Drill::Faults(Faults::default()));
     wait("third Streaming", at);
-    let id = daemon.id().to_string();
     assert!(
         std::process::Command::new("kill")
             .args(["-TERM", &id])
@@ -357,7 +360,7 @@ fn a_hostile_camera_harms_neither_the_daemon_nor_the_other_camera() {
             .unwrap()
             .success()
     );
-    let status = daemon.wait().unwrap();
+    let status = daemon.0.wait().unwrap();
     let log = std::fs::read_to_string(path("log")).unwrap();
     for line in log.lines().filter(|l| l.starts_with("pitchd: ")) {
         println!("{line}");

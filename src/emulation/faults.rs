@@ -52,7 +52,7 @@ pub struct FaultError(pub String, pub &'static str);
 const KEYS: &str = "use loss, reorder, reorder_ms, jitter_ms, clock_offset_s, skew_ppm, mangle, mangling, mangle_control, \
                     as in loss=0.01,skew_ppm=50";
 const MANGLINGS: &str =
-    "use any, noise, cut, long, number, block, kind, status, leader, shape, trailer or bits";
+    "use any, noise, cut, long, number, block, kind, status, leader, shape, payload, trailer or bits";
 const WORDS: &str = "use freeze S, disconnect S, reboot S, clock S, faults KEY=VALUE,…, loss P, reorder_ms MS, jitter_ms MS or quit";
 
 impl Faults {

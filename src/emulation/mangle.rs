@@ -28,6 +28,8 @@ pub enum Mangling {
     Leader,
     /// A leader of half the columns.
     Shape,
+    /// No payload: as where large packets do not pass.
+    Payload,
     /// No trailer.
     Trailer,
     /// Some bits turned.
@@ -35,7 +37,7 @@ pub enum Mangling {
 }
 
 impl Mangling {
-    const ALL: [(&'static str, Self); 12] = [
+    const ALL: [(&'static str, Self); 13] = [
         ("any", Self::Any),
         ("noise", Self::Noise),
         ("cut", Self::Cut),
@@ -46,6 +48,7 @@ impl Mangling {
         ("status", Self::Status),
         ("leader", Self::Leader),
         ("shape", Self::Shape),
+        ("payload", Self::Payload),
         ("trailer", Self::Trailer),
         ("bits", Self::Bits),
     ];
@@ -95,8 +98,9 @@ impl Mangling {
                 let half = columns.map_or(0, u32::from_be_bytes) / 2;
                 set(packet, 24, &half.to_be_bytes());
             }
+            Self::Payload if ![gvsp::LEADER, gvsp::TRAILER].contains(&kind) => packet.clear(),
             Self::Trailer if kind == gvsp::TRAILER => packet.clear(),
-            Self::Leader | Self::Shape | Self::Trailer => {}
+            Self::Leader | Self::Shape | Self::Payload | Self::Trailer => {}
             Self::Bits => {
                 for _ in 0..random.random_range(1..6) {
                     let at = random.random_range(0..packet.len().clamp(1, 48));
