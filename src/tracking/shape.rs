@@ -1,5 +1,7 @@
 //! What a path looks like as a whole, and whether a pitch may look like that.
 
+use nalgebra::Vector2;
+
 use super::config::TrackerConfig;
 use super::curve::{Curve, Sample, Stiffness};
 use crate::scene::Track;
@@ -12,6 +14,8 @@ const SAME_WAY_COSINE: f64 = 0.5;
 const SAME_SIZE_LOG: f64 = 0.6;
 /// Nothing smaller can be told from noise, pixels: a glint of 0.5 px is as slow as a ball of this size.
 const RADIUS_MIN_PX: f64 = 1.2;
+/// Stamps of ordinary cameras shake by this much, seconds: along its way a fast ball seems rough by half a pixel.
+const STAMP_JITTER_S: f64 = 1.5e-4;
 /// Points over which the peak speed is measured.
 const PEAK_POINTS: usize = 8;
 
@@ -43,7 +47,7 @@ pub struct TrackShape {
     pub peak_speed_px_per_s: f64,
     /// Median radius, pixels.
     pub radius_px: f64,
-    /// Rms distance from a smooth curve, pixels.
+    /// Rms distance from a smooth curve, pixels, beyond what shaking stamps explain.
     pub roughness_px: f64,
     /// Mean position, pixels.
     pub middle_px: [f64; 2],
@@ -84,11 +88,6 @@ impl TrackShape {
                 acceleration_sigma: f64::INFINITY,
             },
         )?;
-        let count = samples.len() as f64;
-        let squares: f64 = samples
-            .iter()
-            .map(|s| (s.position_px - curve.position(s.t)).norm_squared())
-            .sum();
         let span_s = end.seconds_since(epoch);
         let (first, last) = (samples.first()?, samples.last()?);
         let velocity = (last.position_px - first.position_px) / span_s.max(1e-9);
@@ -98,7 +97,7 @@ impl TrackShape {
             velocity_px_per_s: [velocity.x, velocity.y],
             peak_speed_px_per_s: peak_speed(&samples),
             radius_px,
-            roughness_px: (squares / count).sqrt(),
+            roughness_px: roughness_px(&samples, &curve, velocity),
             middle_px: [middle.x, middle.y],
         })
     }
@@ -134,6 +133,20 @@ impl TrackShape {
         let [vx, vy] = self.velocity_px_per_s;
         vx * x + vy * y > SAME_WAY_COSINE * vx.hypot(vy)
     }
+}
+
+/// Rms distance from a curve, less what shaking stamps make of it along the motion.
+fn roughness_px(samples: &[Sample], curve: &Curve, velocity: Vector2<f64>) -> f64 {
+    let along = velocity.try_normalize(1e-9).unwrap_or_else(Vector2::x);
+    let (mut along_px2, mut across_px2) = (0.0, 0.0);
+    for sample in samples {
+        let off = sample.position_px - curve.position(sample.t);
+        along_px2 += off.dot(&along).powi(2);
+        across_px2 += off.norm_squared() - off.dot(&along).powi(2);
+    }
+    let count = samples.len() as f64;
+    let shaken_px = STAMP_JITTER_S * velocity.norm();
+    ((along_px2 / count - shaken_px * shaken_px).max(0.0) + across_px2 / count).sqrt()
 }
 
 /// Largest speed over [`PEAK_POINTS`] points.
@@ -210,6 +223,33 @@ mod tests {
             back(1800.0),
         ];
         assert_eq!(vote(&shapes), [true, false, true, false]);
+    }
+
+    #[test]
+    fn stamps_that_shake_make_no_ball_rough() {
+        let curve = |samples: &[Sample]| {
+            let level = Stiffness {
+                degree: 2,
+                acceleration_sigma: f64::INFINITY,
+            };
+            Curve::fit(samples, level).unwrap()
+        };
+        // 0.5 px forth and back, along the motion of 3500 px/s or across it.
+        let shaken = |along: f64, across: f64| {
+            let samples: Vec<Sample> = (0..60)
+                .map(|i| {
+                    let off = if i % 2 == 0 { 0.5 } else { -0.5 };
+                    Sample {
+                        t: f64::from(i) / 175.0,
+                        position_px: Vector2::new(20.0 * f64::from(i) + along * off, 300.0 + across * off),
+                        variance_px2: 1.0,
+                    }
+                })
+                .collect();
+            roughness_px(&samples, &curve(&samples), Vector2::new(3500.0, 0.0))
+        };
+        assert!(shaken(1.0, 0.0) < 0.1, "{}", shaken(1.0, 0.0));
+        assert!((shaken(0.0, 1.0) - 0.5).abs() < 0.01, "{}", shaken(0.0, 1.0));
     }
 
     #[test]
