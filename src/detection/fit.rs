@@ -30,7 +30,7 @@ const OWN_STEPS_POOLED: usize = 3;
 const STEP_MIN_PX: f64 = 0.002;
 const STEP_MIN_SHARE: f64 = 0.002;
 /// The shared parameters are found when a step gains less than this share of the cost.
-const GAIN_MIN: f64 = 1e-4;
+const GAIN_MIN: f64 = 1e-5;
 /// The picture is never better than this share of the ball's contrast (optics, seams, steps of the light).
 const MODEL_ERROR_SHARE: f64 = 0.02;
 /// Residuals beyond this many σ count linearly.
