@@ -5,7 +5,8 @@
 //! (bursts, stalls). The model follows the *lower envelope* of `arrival − device`: of every half second only the
 //! frame with the least delay counts, and two numbers (offset, rate) are filtered from those minima. A minimum
 //! above the prediction counts for less the further it is above, because a late minimum tells of the host's load,
-//! an early one of the clock.
+//! an early one of the clock. Minima that stay late ([`Lateness`]) are load when they jumped up or scatter, and a
+//! slower clock when they rise along one line from where the clock was.
 //!
 //! The floor itself cannot be seen from here: stamped midpoints are good to a constant, and that constant is part
 //! of the capture delay that the calibration estimates from the ball. What matters is that it stays constant; when
@@ -42,7 +43,7 @@ impl Default for ClockModelOptions {
         Self {
             block_s: 0.5,
             rate_prior_ppm: 100.0,
-            rate_walk_ppm: 2.0,
+            rate_walk_ppm: 0.2,
             early_s: 0.005,
             step_s: 0.001,
             step_window_s: 3.0,
@@ -123,6 +124,8 @@ struct Line {
     covariance: Matrix2<f64>,
     /// Spread of the minima about the line, seconds.
     noise_s: f64,
+    /// Sum of σ by which the latest minima were early, one after the other.
+    early: f64,
     blocks: u32,
 }
 
@@ -136,6 +139,7 @@ impl Line {
             state: Vector2::zeros(),
             covariance: Matrix2::new(2e-3 * 2e-3, 0.0, 0.0, rate * rate),
             noise_s: NOISE_FIRST_S,
+            early: 0.0,
             blocks: 0,
         }
     }
@@ -179,9 +183,51 @@ impl Line {
         self.noise_s = NOISE_FIRST_S;
     }
 
+    fn before_lateness(&self) -> Lateness {
+        Lateness {
+            from_s: self.at_s,
+            offset_s: self.state.x,
+            rate: self.state.y,
+            noise_s: self.noise_s,
+            minima: VecDeque::new(),
+            sigmas: 0.0,
+        }
+    }
+
+    /// Goes on along the line of minima that a slower clock has made late.
+    fn slow_down(&mut self, lateness: &Lateness, slope: f64, device_s: f64) {
+        let since_s = device_s - lateness.from_s;
+        self.state = Vector2::new(
+            lateness.offset_s + (lateness.rate + slope) * since_s,
+            lateness.rate + slope,
+        );
+        self.at_s = device_s;
+        self.noise_s = lateness.noise_s;
+        let (offset_sigma, rate_sigma) = (2.0 * lateness.noise_s, 0.2 * slope);
+        self.covariance = Matrix2::new(offset_sigma * offset_sigma, 0.0, 0.0, rate_sigma * rate_sigma);
+    }
+
+    /// 1σ of a minimum about the line, seconds.
+    fn expected_s(&self, device_s: f64) -> f64 {
+        let ahead = device_s - self.at_s;
+        let p = &self.covariance;
+        (p.m11 + ahead * (2.0 * p.m12 + ahead * p.m22))
+            .max(0.0)
+            .sqrt()
+            .hypot(self.noise_s)
+    }
+
     /// Takes the minimum of one block. `excess_s` is over the line as it stands.
     fn update(&mut self, device_s: f64, excess_s: f64, rate_walk_ppm: f64) {
         let ahead = device_s - self.at_s;
+        // No frame is early: minima that stay below the line are of a rate that has changed in the last second or two.
+        let early = excess_s / self.expected_s(device_s);
+        self.early = if early < 0.0 { self.early + early } else { 0.0 };
+        if self.early < -EARLY_SIGMAS {
+            self.covariance.m11 += excess_s * excess_s;
+            self.covariance.m22 += (2.0 * excess_s).abs().min(RATE_CHANGE_MAX).powi(2);
+            self.early = 0.0;
+        }
         let walk = (1e-6 * rate_walk_ppm).powi(2) * ahead.abs();
         let forward = Matrix2::new(1.0, ahead, 0.0, 1.0);
         // A rate that walks: variance a/1 in the rate, a³/3 in the offset.
@@ -196,13 +242,29 @@ impl Line {
         let kept = Matrix2::identity() - gain * nalgebra::RowVector2::new(1.0, 0.0);
         self.covariance = kept * covariance * kept.transpose() + variance * gain * gain.transpose();
         self.at_s = device_s;
-        // Spread of the minima, from clipped deviations so that one burst does not open the gate.
-        let deviation = excess_s.abs().min(4.0 * self.noise_s);
+        // Spread of the minima, from clipped deviations so that a burst does not open the gate; late ones say little.
+        let most = if excess_s > 0.0 { 1.5 } else { 4.0 };
+        let deviation = excess_s.abs().min(most * self.noise_s);
         self.noise_s = (0.95 * self.noise_s + 0.05 * 1.25 * deviation).clamp(NOISE_LEAST_S, NOISE_MOST_S);
         self.blocks += 1;
     }
 }
 
+/// Minima in a row that are early by so many σ together are no chance.
+const EARLY_SIGMAS: f64 = 8.0;
+/// A minimum this many σ above the line is late: it moves nothing.
+const LATE_SIGMAS: f64 = 3.0;
+/// Late minima are judged when they are this many σ late together.
+const LATE_TOGETHER_SIGMAS: f64 = 12.0;
+/// Late minima before they are judged, and the most that are kept.
+const LATE_MIN: usize = 6;
+const LATE_MAX: usize = 24;
+/// Late minima of a slower clock scatter about their line, and begin off the old one, by at most this many σ of minima.
+const LINE_SIGMAS: f64 = 3.0;
+/// No crystal's rate changes by more at once, seconds per second; and the more, the longer it must be seen, so many
+/// seconds for each 1e-6 (a host becomes busy faster than a crystal warms).
+const RATE_CHANGE_MAX: f64 = 30e-6;
+const SECONDS_PER_PPM: f64 = 0.3;
 /// Spread of the minima before it is known. Much less would let the first half second, with its short blocks on a busy
 /// host, decide on the rate: 50 µs gave a clock of true rate 0 up to 500 ppm after 0.5 s.
 const NOISE_FIRST_S: f64 = 200e-6;
@@ -216,6 +278,64 @@ const SUSPECTS: usize = 3;
 const AGREE_S: f64 = 0.1;
 /// The longest stall over which a counter's wrap is still recognised, seconds.
 const WRAP_STALL_S: f64 = 0.2;
+
+/// Minima that have stayed late, over the line as it was before them.
+#[derive(Debug, Clone)]
+struct Lateness {
+    /// Device second and offset, and the rate, of the line before the first.
+    from_s: f64,
+    offset_s: f64,
+    rate: f64,
+    /// Spread of the minima before the first, seconds.
+    noise_s: f64,
+    /// Device second and offset of each.
+    minima: VecDeque<(f64, f64)>,
+    /// Sum of σ by which they were late.
+    sigmas: f64,
+}
+
+impl Lateness {
+    fn add(&mut self, minimum: (f64, f64), sigmas: f64) {
+        if self.minima.len() >= LATE_MAX {
+            self.minima.pop_front();
+        }
+        self.minima.push_back(minimum);
+        self.sigmas += sigmas;
+    }
+
+    /// Seconds per second by which the clock has become slower, if that is what these minima tell.
+    fn slower_by(&self) -> Option<f64> {
+        if self.minima.len() < LATE_MIN || self.sigmas < LATE_TOGETHER_SIGMAS {
+            return None;
+        }
+        // A straight line through the minima, over the old line.
+        let over = |(t, y): &(f64, f64)| (t - self.from_s, y - self.offset_s - self.rate * (t - self.from_s));
+        let count = self.minima.len() as f64;
+        let (t_sum, y_sum) = self
+            .minima
+            .iter()
+            .map(over)
+            .fold((0.0, 0.0), |s, m| (s.0 + m.0, s.1 + m.1));
+        let (t_mean, y_mean) = (t_sum / count, y_sum / count);
+        let (mut tt, mut ty) = (0.0, 0.0);
+        for (t, y) in self.minima.iter().map(over) {
+            tt += (t - t_mean) * (t - t_mean);
+            ty += (t - t_mean) * (y - y_mean);
+        }
+        let slope = ty / tt.max(1e-12);
+        let begin_s = y_mean - slope * t_mean;
+        let scatter = |(t, y): (f64, f64)| (y - begin_s - slope * t).powi(2);
+        let rms_s = (self.minima.iter().map(over).map(scatter).sum::<f64>() / count).sqrt();
+        let small_s = LINE_SIGMAS * self.noise_s;
+        // A rate that goes on changing bends the line: it then begins below the old one.
+        let begins = (-small_s - 3.0 * slope..small_s + 0.5 * slope).contains(&begin_s);
+        let straight = rms_s < small_s && begins;
+        let certain = slope > LINE_SIGMAS * rms_s / tt.sqrt();
+        let seen_s = self.minima.back().map_or(0.0, |(t, _)| t - self.from_s);
+        let long = slope < RATE_CHANGE_MAX && seen_s > SECONDS_PER_PPM * 1e6 * slope;
+        (straight && certain && long).then_some(slope)
+    }
+}
 
 /// The block being filled.
 #[derive(Debug, Clone, Default)]
@@ -233,6 +353,7 @@ pub struct ClockModel {
     block: Block,
     /// Device second and excess of the latest block minima, for the step test.
     minima: VecDeque<(f64, f64)>,
+    lateness: Option<Lateness>,
     suspects: Vec<(i64, i64)>,
     wraps_ns: i64,
     last_device_ns: i64,
@@ -247,6 +368,7 @@ impl ClockModel {
             line: None,
             block: Block::default(),
             minima: VecDeque::new(),
+            lateness: None,
             suspects: Vec::new(),
             wraps_ns: 0,
             last_device_ns: i64::MIN,
@@ -265,6 +387,7 @@ impl ClockModel {
     fn clear(&mut self) {
         self.block = Block::default();
         self.minima.clear();
+        self.lateness = None;
         self.suspects.clear();
         self.wraps_ns = 0;
     }
@@ -401,7 +524,20 @@ impl ClockModel {
             return None;
         }
         let (at_s, excess_s) = std::mem::take(&mut self.block).least?;
-        line.update(at_s, excess_s, self.options.rate_walk_ppm);
+        let sigmas = excess_s / line.expected_s(at_s);
+        if sigmas <= 0.0 || line.young(device_ns) {
+            self.lateness = None;
+            line.update(at_s, excess_s, self.options.rate_walk_ppm);
+        } else {
+            let lateness = self.lateness.get_or_insert_with(|| line.before_lateness());
+            lateness.add((at_s, line.offset_s(at_s) + excess_s), sigmas);
+            if let Some(slope) = lateness.slower_by() {
+                line.slow_down(lateness, slope, at_s);
+                self.lateness = None;
+            } else if sigmas < LATE_SIGMAS {
+                line.update(at_s, excess_s, self.options.rate_walk_ppm);
+            }
+        }
         self.minima.push_back((at_s, excess_s));
         self.step_test(device_s)
     }

@@ -113,6 +113,49 @@ fn a_temperature_step_is_followed() {
     let (worst, _) = run(6, |t| -40.0 + (t - 20.0).clamp(0.0, 20.0), (10.0, 60.0));
     println!("ramp: {:.1} us", 1e6 * worst);
     assert!(worst < 80e-6, "{worst} s");
+    // A clock that becomes slower looks like a host that becomes busy, for three seconds.
+    let (worst, _) = run(13, |t| if t < 30.0 { 10.0 } else { -10.0 }, (10.0, 60.0));
+    println!("step down: {:.1} us", 1e6 * worst);
+    assert!(worst < 150e-6, "{worst} s");
+    let (worst, _) = run(14, |t| 40.0 - (t - 20.0).clamp(0.0, 20.0), (10.0, 60.0));
+    println!("ramp down: {:.1} us", 1e6 * worst);
+    assert!(worst < 120e-6, "{worst} s");
+}
+
+#[test]
+fn a_busy_host_moves_no_clock() {
+    // From the 30th second on every frame is late: by at least 0.3 ms, by 0.2 to 0.9 ms from second to second, or rising
+    // slowly over seconds and falling again, as when another program is built on the same machine.
+    let loads: [fn(f64) -> f64; 3] = [
+        |_| 0.3e-3,
+        |t| 0.2e-3 + 0.7e-3 * (0.5 + 0.5 * (1.7 * t.floor()).sin()),
+        |t| {
+            0.4e-3 * (0.5 - 0.5 * (t * std::f64::consts::TAU / 15.0).cos())
+                + 0.1e-3 * (0.5 + 0.5 * (9.1 * t).sin())
+        },
+    ];
+    for (k, load) in loads.into_iter().enumerate() {
+        let (mut world, mut model) = (
+            World::new(20 + k as u64, |t| 25.0 + 0.01 * t),
+            ClockModel::new(ClockModelOptions::default()),
+        );
+        let mut worst = 0.0_f64;
+        while world.host_s < 1120.0 {
+            let mut shot = world.shot();
+            let t = world.host_s - 1000.0;
+            if (30.0..75.0).contains(&t) {
+                let late_ns = (load(t - 30.0) * NANOS_PER_SECOND) as i64;
+                shot.arrival = ArrivalTime::from_nanos(shot.arrival.nanos() + late_ns);
+            }
+            let reading = model.push(shot.device, shot.arrival, EXPOSURE_S);
+            assert_eq!(reading.epoch, 0);
+            if t > 15.0 {
+                worst = worst.max(error_s(&reading, &shot).abs());
+            }
+        }
+        println!("load {k}: worst {:.1} us", 1e6 * worst);
+        assert!(worst < 100e-6, "load {k}: {worst} s");
+    }
 }
 
 #[test]
