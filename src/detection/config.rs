@@ -1,5 +1,7 @@
 //! Settings of one camera's detector.
 
+use crate::geometry::Intrinsics;
+
 /// A rectangle of pixels: columns `x_px .. x_px + width_px`, rows `y_px .. y_px + height_px`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PixelRect {
@@ -28,6 +30,8 @@ impl PixelRect {
 pub struct DetectorConfig {
     /// Exposure time in seconds; without it the blur streak is measured.
     pub exposure_s: Option<f64>,
+    /// The lens: away from its axis the ball's picture is an ellipse. Without it a circle is taken.
+    pub lens: Option<Intrinsics>,
     /// Frames before and after that show the background behind a ball; the answer comes this much later.
     /// Adapted by [`super::Detector::adapt_lag`] within 1..=`lag_frames_max`.
     pub lag_frames: usize,
@@ -57,6 +61,7 @@ impl Default for DetectorConfig {
     fn default() -> Self {
         Self {
             exposure_s: None,
+            lens: None,
             lag_frames: 6,
             lag_frames_max: 10,
             threshold_sigmas: 5.0,

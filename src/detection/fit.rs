@@ -96,7 +96,7 @@ impl Shared {
         }
     }
 
-    /// Radius at place τ ∈ [−½, ½] of the track: 1/r is linear, as depth is.
+    /// Radius on the lens's axis at place τ ∈ [−½, ½] of the track: 1/r is linear, as depth is.
     pub fn radius_px(&self, place: f64) -> f64 {
         self.values[0] / (1.0 + self.values[1] * place).max(0.2)
     }
@@ -162,6 +162,8 @@ pub struct PictureStart {
     pub streak_px: Vector2<f64>,
     /// Radius that decides which pixels are fitted.
     pub radius_px: f64,
+    /// What the lens makes of a circle there: offset on its axis to offset in the picture.
+    pub shape: Matrix2<f64>,
     /// Place in the track, −½ at its begin, ½ at its end.
     pub place: f64,
 }
@@ -198,7 +200,7 @@ impl Picture {
         let level = near.0 / f64::max(near.1, 1.0);
         Some(Self {
             pixels: PixelLanes::new(&observations),
-            sweep: Sweep::new(start.streak_px, edge.sigma_px),
+            sweep: Sweep::new(start.streak_px, edge.sigma_px, &start.shape),
             place: start.place,
             start_px: start.centre_px,
             reach_px: start.reach_px(),
@@ -212,7 +214,11 @@ impl Picture {
 
     /// For an edge of another blur.
     pub fn blur(&mut self, edge: &Edge) {
-        self.sweep = Sweep::new(self.sweep.streak_px, edge.sigma_px);
+        let on_axis = self.sweep.on_axis;
+        self.sweep = Sweep {
+            on_axis,
+            ..Sweep::new(self.sweep.streak_px, edge.sigma_px, &Matrix2::identity())
+        };
     }
 
     /// The same pixels for another place in the track, and the streak as it is known there; `None` where the ball that
@@ -220,7 +226,7 @@ impl Picture {
     pub fn moved_to(&self, start: &PictureStart, edge: &Edge, change_max_px: f64) -> Option<Self> {
         let reach_px = start.reach_px();
         ((reach_px - self.reach_px).abs() < change_max_px).then(|| Self {
-            sweep: Sweep::new(start.streak_px, edge.sigma_px),
+            sweep: Sweep::new(start.streak_px, edge.sigma_px, &start.shape),
             place: start.place,
             ..self.clone()
         })

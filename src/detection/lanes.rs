@@ -282,13 +282,18 @@ fn see<const ALL: bool>(block: &Block, corner: Vector2<f64>, look: &Look<'_>) ->
     let per_radius = 1.0 / look.radius;
     let centre = look.centre - corner;
     let (centre_x, centre_y) = (centre.x as f32, centre.y as f32);
+    let on_axis = &look.sweep.on_axis;
+    let (xx, xy) = (on_axis.m11 as f32, on_axis.m12 as f32);
+    let (yx, yy) = (on_axis.m21 as f32, on_axis.m22 as f32);
     let (mut excess, mut coverage) = ([0.0; LANES], [0.0; LANES]);
     let mut gradient = [[0.0; LANES]; PARAMETERS];
     for (instant, share) in &look.sweep.instants {
         let moved = look.sweep.streak_px * *instant;
         let (moved_x, moved_y, share) = (moved.x as f32, moved.y as f32, *share as f32);
-        let rx: Lane = std::array::from_fn(|l| block.x[l] - centre_x - moved_x * scale);
-        let ry: Lane = std::array::from_fn(|l| block.y[l] - centre_y - moved_y * scale);
+        let px: Lane = std::array::from_fn(|l| block.x[l] - centre_x - moved_x * scale);
+        let py: Lane = std::array::from_fn(|l| block.y[l] - centre_y - moved_y * scale);
+        let rx: Lane = std::array::from_fn(|l| xx * px[l] + xy * py[l]);
+        let ry: Lane = std::array::from_fn(|l| yx * px[l] + yy * py[l]);
         let distance: Lane = std::array::from_fn(|l| (rx[l] * rx[l] + ry[l] * ry[l]).sqrt());
         if distance.iter().all(|d| *d >= look.edge_radius_px + look.reach_px) {
             continue;
@@ -311,8 +316,9 @@ fn see<const ALL: bool>(block: &Block, corner: Vector2<f64>, look: &Look<'_>) ->
             // The place seen follows the pixel fully along the rim, partly across it.
             let outward = s_u * nx + s_v * ny;
             let across = outward * (rim.follow - tangential);
-            let by_x = lift * slope * nx - d * (s_u * tangential + across * nx);
-            let by_y = lift * slope * ny - d * (s_v * tangential + across * ny);
+            let by_rx = lift * slope * nx - d * (s_u * tangential + across * nx);
+            let by_ry = lift * slope * ny - d * (s_v * tangential + across * ny);
+            let (by_x, by_y) = (xx * by_rx + yx * by_ry, xy * by_rx + yy * by_ry);
             gradient[0][l] += by_x;
             gradient[1][l] += by_y;
             gradient[LEVEL][l] += d * shine.value;
@@ -478,7 +484,10 @@ mod tests {
         ] {
             p[i] = value;
         }
-        let (sweep, edge) = (Sweep::new(Vector2::new(2.0, 1.0), 0.5), Edge::new(0.5));
+        let (sweep, edge) = (
+            Sweep::new(Vector2::new(2.0, 1.0), 0.5, &nalgebra::Matrix2::identity()),
+            Edge::new(0.5),
+        );
         let observations: Vec<Observation> = (0..11)
             .map(|k| Observation {
                 at: Vector2::new(f64::from(k), 5.0),

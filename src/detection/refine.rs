@@ -1,6 +1,6 @@
 //! The second look at a whole track: velocity gives the streak, all frames together the ball, each frame its centre.
 
-use nalgebra::{Matrix2, Vector2};
+use nalgebra::{Matrix2, Vector2, Vector3};
 
 use super::blur::{BlurChoice, EDGE_SIGMAS_PX, choose_edge};
 use super::config::DetectorConfig;
@@ -9,7 +9,7 @@ use super::fit::{FittedCentre, Picture, PictureStart, Shared, SharedMatrix, fit_
 use super::patches::PatchPool;
 use super::path::between;
 use super::running::Running;
-use crate::geometry::Pixel;
+use crate::geometry::{Intrinsics, Pixel};
 use crate::scene::{Track, TrackPoint};
 
 /// Frames of a track on which blur and ball are tried.
@@ -61,6 +61,7 @@ pub struct Refinement {
 #[derive(Debug, Clone)]
 pub struct Refiner {
     exposure_s: Option<f64>,
+    lens: Option<Intrinsics>,
     blur: BlurChoice,
     running: Vec<Running>,
 }
@@ -70,6 +71,7 @@ impl Refiner {
     pub fn new(config: &DetectorConfig) -> Self {
         Self {
             exposure_s: config.exposure_s,
+            lens: config.lens,
             blur: BlurChoice::default(),
             running: Vec::new(),
         }
@@ -171,7 +173,7 @@ impl Refiner {
     }
 
     fn fit(&self, pool: &PatchPool, track: &Track) -> Option<Fit> {
-        let starts = starts(pool, self.exposure_s, track)?;
+        let starts = self.starts(pool, track)?;
         let running = self.running.iter().find(|running| running.is_of(track));
         let mut blur = self.blur;
         let (edge, mut shared) = match running {
@@ -219,6 +221,41 @@ impl Refiner {
         })
     }
 
+    /// Where each point's fit begins, by its index in the track.
+    fn starts(&self, pool: &PatchPool, track: &Track) -> Option<Vec<(usize, PictureStart)>> {
+        let (begin, end) = track.span()?;
+        let epoch = begin.nanos();
+        let span = end.seconds_since(epoch).max(1e-9);
+        let exposure = self.exposure_s.unwrap_or(EXPOSURE_GUESS_S.0);
+        let first_look = median(
+            track
+                .points
+                .iter()
+                .filter_map(|p| pool.find(p.stamped, p.pixel))
+                .map(|patch| patch.radius_px),
+        )?;
+        let starts: Vec<(usize, PictureStart)> = track
+            .points
+            .iter()
+            .enumerate()
+            .filter(|(_, point)| pool.find(point.stamped, point.pixel).is_some())
+            .map(|(index, point)| {
+                let start = PictureStart {
+                    centre_px: point.pixel.vector(),
+                    streak_px: velocity(&track.points, index) * exposure,
+                    radius_px: first_look * RADIUS_OVER_FIRST_LOOK,
+                    shape: self
+                        .lens
+                        .as_ref()
+                        .map_or_else(Matrix2::identity, |lens| shape_at(lens, point.pixel)),
+                    place: point.stamped.seconds_since(epoch) / span - 0.5,
+                };
+                (index, start)
+            })
+            .collect();
+        (starts.len() >= PICTURES_MIN).then_some(starts)
+    }
+
     /// Blur and ball from a few frames.
     fn first_fit(
         &self,
@@ -259,35 +296,22 @@ struct Fit {
     blur: BlurChoice,
 }
 
-/// Where each point's fit begins, by its index in the track.
-fn starts(pool: &PatchPool, exposure_s: Option<f64>, track: &Track) -> Option<Vec<(usize, PictureStart)>> {
-    let (begin, end) = track.span()?;
-    let epoch = begin.nanos();
-    let span = end.seconds_since(epoch).max(1e-9);
-    let exposure = exposure_s.unwrap_or(EXPOSURE_GUESS_S.0);
-    let first_look = median(
-        track
-            .points
-            .iter()
-            .filter_map(|p| pool.find(p.stamped, p.pixel))
-            .map(|patch| patch.radius_px),
-    )?;
-    let starts: Vec<(usize, PictureStart)> = track
-        .points
-        .iter()
-        .enumerate()
-        .filter(|(_, point)| pool.find(point.stamped, point.pixel).is_some())
-        .map(|(index, point)| {
-            let start = PictureStart {
-                centre_px: point.pixel.vector(),
-                streak_px: velocity(&track.points, index) * exposure,
-                radius_px: first_look * RADIUS_OVER_FIRST_LOOK,
-                place: point.stamped.seconds_since(epoch) / span - 0.5,
-            };
-            (index, start)
-        })
-        .collect();
-    (starts.len() >= PICTURES_MIN).then_some(starts)
+/// What a lens makes of a small sphere's circle at a pixel: offset on its axis, at the same depth, to offset in the
+/// picture. The identity on the axis, and where the lens cannot be inverted.
+fn shape_at(lens: &Intrinsics, pixel: Pixel) -> Matrix2<f64> {
+    let shape = || {
+        let direction = lens.direction(pixel).ok()?;
+        let at = Vector3::new(direction.x, direction.y, 1.0);
+        let by_point = lens.project_with_jacobian(&at).ok()?.by_camera_point;
+        // The circle lies across the line of sight; its axes are as near to the picture's as can be.
+        let toward = -at.normalize();
+        let right = toward.cross(&Vector3::y()).try_normalize(1e-9)?;
+        let down = right.cross(&toward);
+        let focal_px = (lens.fx_px * lens.fy_px).sqrt();
+        let shape = Matrix2::from_columns(&[by_point * right, by_point * down]) / focal_px;
+        (0.25..4.0).contains(&shape.determinant()).then_some(shape)
+    };
+    shape().unwrap_or_else(Matrix2::identity)
 }
 
 /// Velocity at one point from a straight line through its neighbours, pixels per second.
@@ -316,4 +340,66 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LENS: Intrinsics = Intrinsics {
+        fx_px: 1000.0,
+        fy_px: 1000.0,
+        cx_px: 1023.5,
+        cy_px: 511.5,
+        distortion: [0.0; 5],
+    };
+
+    #[test]
+    fn on_the_axis_a_sphere_is_a_circle() {
+        let shape = shape_at(&LENS, Pixel::new(1023.5, 511.5));
+        assert!((shape - Matrix2::identity()).norm() < 1e-12, "{shape}");
+    }
+
+    #[test]
+    fn to_the_side_it_is_longer_by_the_cosine() {
+        // tan θ = 0.75, cos θ = 0.8: across the radius f·R/z, along it f·R/(z·cos θ).
+        let shape = shape_at(&LENS, Pixel::new(1023.5 + 750.0, 511.5));
+        assert!(
+            (shape - Matrix2::new(1.25, 0.0, 0.0, 1.0)).norm() < 1e-12,
+            "{shape}"
+        );
+        let shape = shape_at(&LENS, Pixel::new(1023.5, 511.5 + 750.0));
+        assert!(
+            (shape - Matrix2::new(1.0, 0.0, 0.0, 1.25)).norm() < 1e-12,
+            "{shape}"
+        );
+    }
+
+    #[test]
+    fn the_outline_of_a_sphere_is_the_shape_s_ellipse() {
+        // By brute force: rays that touch a small sphere of radius R at depth z, through a lens with distortion.
+        let lens = Intrinsics {
+            distortion: [-0.08, 0.02, 0.0004, -0.0003, 0.0],
+            ..LENS
+        };
+        let (centre, radius) = (Vector3::new(9.0, -3.0, 20.0), 0.0368);
+        let toward = centre.normalize();
+        let across = toward.cross(&Vector3::x()).normalize();
+        let seen = lens.project(&centre).unwrap();
+        let shape = shape_at(&lens, seen);
+        let on_axis = shape.try_inverse().unwrap();
+        for k in 0..12 {
+            let turn = nalgebra::Rotation3::from_axis_angle(
+                &nalgebra::Unit::new_normalize(toward),
+                f64::from(k) * std::f64::consts::TAU / 12.0,
+            );
+            let touch = centre + turn * across * radius;
+            let off = lens.project(&touch).unwrap().vector() - seen.vector();
+            let expected = 1000.0 * radius / 20.0;
+            assert!(
+                ((on_axis * off).norm() - expected).abs() < 2e-3 * expected,
+                "{k}: {off}"
+            );
+        }
+    }
 }

@@ -30,6 +30,7 @@ impl EyeConfig {
         let mut eye = Self::default();
         if let Some(setup) = rig.camera(camera) {
             eye.detector.exposure_s = setup.exposure_s;
+            eye.detector.lens = Some(setup.intrinsics);
             eye.tracker.frame_rate_hz = setup.frame_rate_hz;
         }
         eye

@@ -58,6 +58,7 @@ fn errors(case: &Case, sigma_edge: f64) -> ([f64; 2], [f64; 2], f64, f64, Shared
                 radius_px: case.radius,
             };
             let start = PictureStart {
+                shape: Matrix2::identity(),
                 centre_px: truth + Vector2::new(0.5, -0.6),
                 streak_px: direction * case.streak,
                 radius_px: case.radius * 1.1,
