@@ -23,6 +23,8 @@ const USELESS_PLATE_SIGMA_M: f64 = 0.150;
 /// Points this far off the flight, and this many times farther than when the cameras were calibrated, tell of
 /// cameras that stand elsewhere.
 const FAR_OFF_PX: f64 = 1.0;
+/// ... and above this, in pixels, something is not as it was: a clock, most likely.
+const OFF_PX: f64 = 0.25;
 const FAR_OFF_RATIO: f64 = 5.0;
 /// The ball must have been followed to this close to the plate, or the last part is extrapolated.
 const FOLLOWED_TO_Y_M: f64 = 3.0;
@@ -264,6 +266,11 @@ fn judge(pitch: &mut Pitch, flight: &SolvedFlight, options: &PitchOptions) {
             "its points lie {rms_px:.1} px off the flight, {usual_px:.2} px in the calibration: a camera has moved, or it is another rig's calibration"
         );
         note(PitchQuality::Poor, reason);
+    } else if rms_px > OFF_PX && rms_px > FAR_OFF_RATIO * usual_px {
+        let reason = format!(
+            "its points lie {rms_px:.2} px off the flight, {usual_px:.2} px in the calibration: a camera's clock or pose has moved a little"
+        );
+        note(PitchQuality::Degraded, reason);
     }
     let last_y = flight.trajectory.position_m(flight.observed_s.1).y;
     if last_y > FOLLOWED_TO_Y_M {
