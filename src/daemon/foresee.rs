@@ -6,10 +6,12 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
+use nalgebra::Vector2;
 
 use super::assemble::Epochs;
 use super::publish::{PublishHealth, in_flight_line};
 use crate::flight::{FlightOptions, look_ahead};
+use crate::geometry::Pixel;
 use crate::scene::{Calibration, CameraId, Outlook, Rig, Track, WorldFrame};
 use crate::time::{ArrivalTime, TrueMidpoint};
 use crate::tracking::{OpenPath, TrackerConfig};
@@ -24,6 +26,8 @@ pub struct InFlight {
     pub arrived: ArrivalTime,
     /// The likeliest paths.
     pub paths: Vec<OpenPath>,
+    /// What is to be added to their centres: the first look's are drawn to the light, pixels.
+    pub off_light_px: Vector2<f64>,
 }
 
 /// A calibration to look ahead with, and the clock epochs it holds for.
@@ -100,6 +104,13 @@ impl Foresee {
             return;
         };
         let flights = news.paths.iter().filter_map(|p| p.flight(&camera, config));
+        let flights = flights.map(|mut flight| {
+            for point in &mut flight.points {
+                let centre = point.pixel.vector() + news.off_light_px;
+                point.pixel = Pixel::new(centre.x, centre.y);
+            }
+            flight
+        });
         let latest = Latest {
             clock_epoch: news.clock_epoch,
             arrived: news.arrived,

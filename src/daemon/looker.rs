@@ -48,8 +48,10 @@ pub struct BallToLookAt {
     pub complete: ArrivalTime,
 }
 
-/// A ball in flight is told of again within this time; after it, other balls are no longer kept waiting for it.
-const FLIGHT_PATIENCE: Duration = Duration::from_millis(250);
+/// A ball in flight is told of again, or its path ends, within so many frames; after them other balls are no longer kept
+/// waiting for it. Nor are they when so many wait.
+const PATIENCE_FRAMES: f64 = 45.0;
+const WAITING_MAX: usize = 32;
 
 /// Runs until the eye ends. While a ball flies that has been looked at in flight, all else waits: what ends with a pitch
 /// (a bat, a glove, a runner) is dearer to look at than what is left of the pitch.
@@ -66,6 +68,7 @@ pub fn look(
         health,
         numbers: 0,
     };
+    let patience = Duration::from_secs_f64(PATIENCE_FRAMES / config.tracker.frame_rate_hz.max(1.0));
     let mut waiting: VecDeque<ToLook> = VecDeque::new();
     let mut flying_until: Option<Instant> = None;
     loop {
@@ -79,11 +82,13 @@ pub fn look(
         };
         match told {
             Ok(ToLook::Flying(flying)) => {
-                looker.second.look_ahead(&flying);
-                flying_until = Some(Instant::now() + FLIGHT_PATIENCE);
+                if looker.second.look_ahead(&flying) {
+                    flying_until = Some(Instant::now() + patience);
+                }
             }
             Ok(ToLook::Early(ending)) if looker.second.knows(&ending) || flying_until.is_none() => {
                 looker.second.look_early(*ending);
+                flying_until = flying_until.map(|_| Instant::now() + patience);
             }
             Ok(ToLook::Early(_)) => {}
             Ok(ToLook::Ball(ball)) if looker.second.knows(&ball.ended) => {
@@ -103,8 +108,7 @@ pub fn look(
             Err(RecvTimeoutError::Timeout) => flying_until = None,
             Err(RecvTimeoutError::Disconnected) => break,
         }
-        if flying_until.is_none()
-            && balls.is_empty()
+        if (flying_until.is_none() && balls.is_empty() || waiting.len() > WAITING_MAX)
             && let Some(next) = waiting.pop_front()
         {
             looker.take(next);

@@ -147,6 +147,7 @@ impl Watcher<'_> {
             clock_epoch: *clock_epoch,
             arrived: self.last_arrival,
             paths,
+            off_light_px: eye.off_light_px(),
         });
     }
 

@@ -151,13 +151,13 @@ impl Refiner {
         self.blur = blur;
     }
 
-    /// Fits a ball that still flies, so that [`Self::refine`] goes on from there.
-    pub fn look_ahead(&mut self, cut_outs: &PatchPool, track: &Track) {
+    /// Fits a ball that still flies, so that [`Self::refine`] goes on from there; whether it could be fitted.
+    pub fn look_ahead(&mut self, cut_outs: &PatchPool, track: &Track) -> bool {
         let Some(fit) = self.fit(cut_outs, track) else {
-            return;
+            return false;
         };
         let Some(running) = Running::new(track, &fit.indices, fit.pictures, (&fit.edge, &fit.shared)) else {
-            return;
+            return false;
         };
         self.blur = fit.blur;
         self.running.retain(|older| !older.is_of(track));
@@ -165,6 +165,7 @@ impl Refiner {
             self.running.remove(0);
         }
         self.running.push(running);
+        true
     }
 
     /// Whether this track's ball was looked at while it flew.

@@ -1,5 +1,7 @@
 //! The first look: every frame through detector and tracker; ended balls go out with what a second look needs.
 
+use nalgebra::Vector2;
+
 use super::EyeConfig;
 use crate::detection::{Answers, CutOuts, DetectionError, Detector, DetectorCounters, ExpectedBall};
 use crate::scene::{CameraId, Detection, Frame, FrameStamp};
@@ -29,13 +31,17 @@ pub struct FlyingBall {
     pub cut_outs: CutOuts,
 }
 
-/// How far a camera's balls move between frames at their slowest, and how long they are along their motion.
+/// What a second look tells the first of this camera's balls: how far they move between frames at their slowest, how long
+/// they are along their motion, and where their middle is.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BallStep {
     /// Shortest step between frames, pixels.
     pub step_px: f64,
     /// Length along the motion, pixels.
     pub length_px: f64,
+    /// The fitted centre less the first look's, which is drawn to the lit side: mean over the later half of the path,
+    /// pixels.
+    pub off_light_px: Vector2<f64>,
 }
 
 /// Detector and tracker of one camera.
@@ -43,6 +49,8 @@ pub struct FirstLook {
     camera: CameraId,
     detector: Detector,
     tracker: Tracker,
+    /// See [`BallStep::off_light_px`].
+    off_light_px: Vector2<f64>,
     /// Newest frame of the balls in flight that were told of.
     flying_told: Option<u64>,
     ended: Vec<EndedBall>,
@@ -83,6 +91,7 @@ impl FirstLook {
             detector: Detector::new(config.detector.clone(), width_px, height_px),
             tracker: Tracker::new(camera.clone(), config.tracker.clone()),
             camera,
+            off_light_px: Vector2::zeros(),
             flying_told: None,
             ended: Vec::new(),
         }
@@ -157,7 +166,13 @@ impl FirstLook {
 
     /// Takes what a second look has found of this camera's balls; it holds from the next window on.
     pub fn adapt(&mut self, ball: BallStep) {
+        self.off_light_px = ball.off_light_px;
         self.detector.adapt_lag(ball.step_px, ball.length_px);
+    }
+
+    /// What is to be added to the centres of balls in flight, by the last ball that was fitted, pixels.
+    pub fn off_light_px(&self) -> Vector2<f64> {
+        self.off_light_px
     }
 
     /// Frames between a frame and its answer.

@@ -1,5 +1,7 @@
 //! The second look: refines the centres of what may be a pitch, and judges again. Another thread may do it.
 
+use nalgebra::Vector2;
+
 use super::EyeConfig;
 use super::first_look::{BallStep, EndedBall, FlyingBall};
 use crate::detection::{BlurChoice, Refiner};
@@ -45,11 +47,11 @@ impl SecondLook {
         }
     }
 
-    /// Looks at a ball that still flies: when its path has ended most of the work is done.
-    pub fn look_ahead(&mut self, flying: &FlyingBall) {
-        if let Some(track) = flying.path.flight(&flying.camera, &self.tracker_config) {
-            self.refiner.look_ahead(&flying.cut_outs, &track);
-        }
+    /// Looks at a ball that still flies: when its path has ended most of the work is done. Whether there was a ball to
+    /// look at.
+    pub fn look_ahead(&mut self, flying: &FlyingBall) -> bool {
+        let track = flying.path.flight(&flying.camera, &self.tracker_config);
+        track.is_some_and(|track| self.refiner.look_ahead(&flying.cut_outs, &track))
     }
 
     /// Whether most of the work on this ball has been done while it flew.
@@ -93,6 +95,7 @@ impl SecondLook {
     fn look_now(&self, ended: EndedBall) -> (TrackedBall, Option<BallStep>, Option<BlurChoice>) {
         let EndedBall { mut ball, cut_outs } = ended;
         let mut learnt = None;
+        let by_first_look = ball.track.clone();
         if let Some(cut_outs) = &cut_outs
             && let Some((refinement, blur)) = self.refiner.refine(cut_outs, &mut ball.track)
         {
@@ -110,7 +113,7 @@ impl SecondLook {
             }
         }
         let step = (ball.kind == TrackKind::Pitch)
-            .then(|| slowest_step(&ball.track, ball.shape.radius_px))
+            .then(|| step_of(&ball.track, &by_first_look, ball.shape.radius_px))
             .flatten();
         let ends = ball.track.points.first().zip(ball.track.points.last());
         let frames = ends.map(|(first, last)| (first.frame, last.frame));
@@ -138,8 +141,8 @@ impl SecondLook {
     }
 }
 
-/// The shortest step of a track between frames, and the ball's length along its motion.
-fn slowest_step(track: &Track, radius_px: f64) -> Option<BallStep> {
+/// What the first look should know: the shortest step between frames, the length along the motion, the middle.
+fn step_of(track: &Track, by_first_look: &Track, radius_px: f64) -> Option<BallStep> {
     let step_px = track
         .points
         .windows(STEP_POINTS)
@@ -149,8 +152,18 @@ fn slowest_step(track: &Track, radius_px: f64) -> Option<BallStep> {
             Some((last.pixel.vector() - first.pixel.vector()).norm() / frames)
         })
         .min_by(f64::total_cmp)?;
+    let later = track.points.get(track.points.len() / 2..)?;
+    let moved: Vec<Vector2<f64>> = later
+        .iter()
+        .filter_map(|fitted| {
+            let first = &by_first_look.points;
+            let at = first.binary_search_by_key(&fitted.frame, |p| p.frame).ok()?;
+            Some(fitted.pixel.vector() - first.get(at)?.pixel.vector())
+        })
+        .collect();
     Some(BallStep {
         step_px,
         length_px: 2.6 * radius_px + 0.3 * step_px,
+        off_light_px: moved.iter().sum::<Vector2<f64>>() / moved.len().max(1) as f64,
     })
 }

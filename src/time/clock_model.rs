@@ -16,6 +16,7 @@ use std::collections::VecDeque;
 
 use nalgebra::{Matrix2, Vector2};
 
+use super::lateness::{Lateness, RATE_CHANGE_MAX};
 use super::{ArrivalTime, DeviceTime, NANOS_PER_SECOND, StampedMidpoint};
 
 /// What a clock model takes for granted.
@@ -184,14 +185,7 @@ impl Line {
     }
 
     fn before_lateness(&self) -> Lateness {
-        Lateness {
-            from_s: self.at_s,
-            offset_s: self.state.x,
-            rate: self.state.y,
-            noise_s: self.noise_s,
-            minima: VecDeque::new(),
-            sigmas: 0.0,
-        }
+        Lateness::new(self.at_s, (self.state.x, self.state.y), self.noise_s)
     }
 
     /// Goes on along the line of minima that a slower clock has made late.
@@ -252,19 +246,11 @@ impl Line {
 
 /// Minima in a row that are early by so many σ together are no chance.
 const EARLY_SIGMAS: f64 = 8.0;
+/// Minima this early, so many in a row, are of a clock that was set forward, seconds.
+const EARLY_STEP_S: f64 = 0.5e-3;
+const EARLY_STEPS: u32 = 2;
 /// A minimum this many σ above the line is late: it moves nothing.
 const LATE_SIGMAS: f64 = 3.0;
-/// Late minima are judged when they are this many σ late together.
-const LATE_TOGETHER_SIGMAS: f64 = 12.0;
-/// Late minima before they are judged, and the most that are kept.
-const LATE_MIN: usize = 6;
-const LATE_MAX: usize = 24;
-/// Late minima of a slower clock scatter about their line, and begin off the old one, by at most this many σ of minima.
-const LINE_SIGMAS: f64 = 3.0;
-/// No crystal's rate changes by more at once, seconds per second; and the more, the longer it must be seen, so many
-/// seconds for each 1e-6 (a host becomes busy faster than a crystal warms).
-const RATE_CHANGE_MAX: f64 = 30e-6;
-const SECONDS_PER_PPM: f64 = 0.3;
 /// Spread of the minima before it is known. Much less would let the first half second, with its short blocks on a busy
 /// host, decide on the rate: 50 µs gave a clock of true rate 0 up to 500 ppm after 0.5 s.
 const NOISE_FIRST_S: f64 = 200e-6;
@@ -278,64 +264,6 @@ const SUSPECTS: usize = 3;
 const AGREE_S: f64 = 0.1;
 /// The longest stall over which a counter's wrap is still recognised, seconds.
 const WRAP_STALL_S: f64 = 0.2;
-
-/// Minima that have stayed late, over the line as it was before them.
-#[derive(Debug, Clone)]
-struct Lateness {
-    /// Device second and offset, and the rate, of the line before the first.
-    from_s: f64,
-    offset_s: f64,
-    rate: f64,
-    /// Spread of the minima before the first, seconds.
-    noise_s: f64,
-    /// Device second and offset of each.
-    minima: VecDeque<(f64, f64)>,
-    /// Sum of σ by which they were late.
-    sigmas: f64,
-}
-
-impl Lateness {
-    fn add(&mut self, minimum: (f64, f64), sigmas: f64) {
-        if self.minima.len() >= LATE_MAX {
-            self.minima.pop_front();
-        }
-        self.minima.push_back(minimum);
-        self.sigmas += sigmas;
-    }
-
-    /// Seconds per second by which the clock has become slower, if that is what these minima tell.
-    fn slower_by(&self) -> Option<f64> {
-        if self.minima.len() < LATE_MIN || self.sigmas < LATE_TOGETHER_SIGMAS {
-            return None;
-        }
-        // A straight line through the minima, over the old line.
-        let over = |(t, y): &(f64, f64)| (t - self.from_s, y - self.offset_s - self.rate * (t - self.from_s));
-        let count = self.minima.len() as f64;
-        let (t_sum, y_sum) = self
-            .minima
-            .iter()
-            .map(over)
-            .fold((0.0, 0.0), |s, m| (s.0 + m.0, s.1 + m.1));
-        let (t_mean, y_mean) = (t_sum / count, y_sum / count);
-        let (mut tt, mut ty) = (0.0, 0.0);
-        for (t, y) in self.minima.iter().map(over) {
-            tt += (t - t_mean) * (t - t_mean);
-            ty += (t - t_mean) * (y - y_mean);
-        }
-        let slope = ty / tt.max(1e-12);
-        let begin_s = y_mean - slope * t_mean;
-        let scatter = |(t, y): (f64, f64)| (y - begin_s - slope * t).powi(2);
-        let rms_s = (self.minima.iter().map(over).map(scatter).sum::<f64>() / count).sqrt();
-        let small_s = LINE_SIGMAS * self.noise_s;
-        // A rate that goes on changing bends the line: it then begins below the old one.
-        let begins = (-small_s - 3.0 * slope..small_s + 0.5 * slope).contains(&begin_s);
-        let straight = rms_s < small_s && begins;
-        let certain = slope > LINE_SIGMAS * rms_s / tt.sqrt();
-        let seen_s = self.minima.back().map_or(0.0, |(t, _)| t - self.from_s);
-        let long = slope < RATE_CHANGE_MAX && seen_s > SECONDS_PER_PPM * 1e6 * slope;
-        (straight && certain && long).then_some(slope)
-    }
-}
 
 /// The block being filled.
 #[derive(Debug, Clone, Default)]
@@ -354,6 +282,8 @@ pub struct ClockModel {
     /// Device second and excess of the latest block minima, for the step test.
     minima: VecDeque<(f64, f64)>,
     lateness: Option<Lateness>,
+    /// Minima in a row that came too early for any crystal.
+    early_steps: u32,
     suspects: Vec<(i64, i64)>,
     wraps_ns: i64,
     last_device_ns: i64,
@@ -369,6 +299,7 @@ impl ClockModel {
             block: Block::default(),
             minima: VecDeque::new(),
             lateness: None,
+            early_steps: 0,
             suspects: Vec::new(),
             wraps_ns: 0,
             last_device_ns: i64::MIN,
@@ -388,6 +319,7 @@ impl ClockModel {
         self.block = Block::default();
         self.minima.clear();
         self.lateness = None;
+        self.early_steps = 0;
         self.suspects.clear();
         self.wraps_ns = 0;
     }
@@ -525,6 +457,16 @@ impl ClockModel {
         }
         let (at_s, excess_s) = std::mem::take(&mut self.block).least?;
         let sigmas = excess_s / line.expected_s(at_s);
+        if !line.young(device_ns) && excess_s < -EARLY_STEP_S.max(EARLY_SIGMAS * line.expected_s(at_s)) {
+            // No frame is early, and no crystal gets there in half a second: the clock was set forward, or a step
+            // that was believed is undone. Twice, and it is so.
+            self.early_steps += 1;
+            if self.early_steps < EARLY_STEPS {
+                return None;
+            }
+            return Some(self.step(excess_s));
+        }
+        self.early_steps = 0;
         if sigmas <= 0.0 || line.young(device_ns) {
             self.lateness = None;
             line.update(at_s, excess_s, self.options.rate_walk_ppm);
@@ -534,6 +476,9 @@ impl ClockModel {
             if let Some(slope) = lateness.slower_by() {
                 line.slow_down(lateness, slope, at_s);
                 self.lateness = None;
+                // They were over the old line.
+                self.minima.clear();
+                return None;
             } else if sigmas < LATE_SIGMAS {
                 line.update(at_s, excess_s, self.options.rate_walk_ppm);
             }
@@ -561,12 +506,20 @@ impl ClockModel {
         if !covered || least < self.options.step_s {
             return None;
         }
-        let line = self.line.as_mut()?;
-        line.state.x += least;
-        line.covariance.m11 += 1e-3 * 1e-3;
+        Some(self.step(least))
+    }
+
+    /// Host less device has changed by this at once: a new epoch.
+    fn step(&mut self, jump_s: f64) -> ClockEvent {
+        if let Some(line) = &mut self.line {
+            line.state.x += jump_s;
+            line.covariance.m11 += 1e-3 * 1e-3;
+        }
         self.minima.clear();
+        self.lateness = None;
+        self.early_steps = 0;
         self.epoch += 1;
-        Some(ClockEvent::Restarted { jump_s: least })
+        ClockEvent::Restarted { jump_s }
     }
 }
 

@@ -289,6 +289,15 @@ fn a_clock_set_back_by_less_than_a_frame_is_noticed() {
     assert!(reading.epoch == 1 && error_s(reading, shot).abs() < 50e-6);
 }
 
+#[test]
+fn a_clock_set_forward_by_less_than_a_frame_is_noticed() {
+    let seen = bent(15, 2000, |_, s| with_device(s, s.device.nanos() + 3_000_000));
+    let noticed = seen.iter().position(|(r, _)| r.epoch == 1).unwrap();
+    assert!(noticed < 2 * 175, "after {noticed} frames");
+    let (reading, shot) = seen.last().unwrap();
+    assert!(reading.epoch == 1 && error_s(reading, shot).abs() < 50e-6);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
     /// The device clock's origin is of no account, and a later host clock stamps exactly as much later.

@@ -11,6 +11,7 @@
 
 mod clock_model;
 mod host_clock;
+mod lateness;
 
 pub use clock_model::{ClockEvent, ClockLine, ClockModel, ClockModelOptions, ClockReading};
 pub use host_clock::{HostClock, SystemClock};

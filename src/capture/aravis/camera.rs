@@ -300,7 +300,7 @@ impl LiveCamera {
             let gap_s = reading.stamped.seconds_since(last.nanos()).clamp(0.0, 1e6);
             let unseen = (gap_s * self.options.frame_rate_hz).round() as u64;
             memory.counters.missing += unseen.saturating_sub(1);
-            memory.numbers = FrameNumber::after(memory.last_number + unseen.saturating_sub(1));
+            memory.numbers = FrameNumber::after(memory.last_number.saturating_add(unseen.saturating_sub(1)));
         }
         let (frame, lost) = memory.numbers.number(id);
         memory.last_number = frame;
