@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use crate::capture::aravis::{self, Found, ListedDevice};
 
-/// List GigE Vision and USB3 Vision cameras.
+/// List GigE Vision and USB3 Vision cameras (`run` opens GigE Vision only).
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:

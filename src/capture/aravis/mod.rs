@@ -1,4 +1,5 @@
-//! Live cameras through Aravis: GigE Vision and USB3 Vision.
+//! Live cameras through Aravis: GigE Vision. USB3 Vision cameras are listed, and cannot be opened yet: the way from a
+//! serial number to an open camera goes by its network address.
 //!
 //! ```text
 //! receive thread (Aravis, real-time) ─ whole buffers ─► capture thread ─ LiveFrame ─► readers
