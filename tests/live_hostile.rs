@@ -38,6 +38,20 @@ fn spoilt(request: &[u8], random: &mut Pcg64) -> Vec<u8> {
     answer
 }
 
+/// How a camera of 64×32 pixels at 40 Hz is opened at this address.
+fn small_live(address: Ipv4Addr) -> LiveOptions {
+    let which = CameraAddress {
+        address: Some(address),
+        ..CameraAddress::default()
+    };
+    LiveOptions {
+        buffers: 8,
+        packet_size: Some(1500),
+        realtime_priority: None,
+        ..LiveOptions::new(CameraId::new("first").unwrap(), which, (64, 32), 40.0)
+    }
+}
+
 #[test]
 fn a_peer_of_noise_is_read_or_left() {
     let address = Ipv4Addr::new(127, 0, 94, 1);
@@ -118,16 +132,7 @@ fn broken_descriptions_are_refused_in_words() {
             ..EmulatorOptions::new(address, "H1")
         };
         let _camera = Emulator::start(&options, shape, pattern(shape)).unwrap();
-        let which = CameraAddress {
-            address: Some(address),
-            ..CameraAddress::default()
-        };
-        let live = LiveOptions {
-            buffers: 8,
-            packet_size: Some(1500),
-            realtime_priority: None,
-            ..LiveOptions::new(CameraId::new("first").unwrap(), which, (64, 32), 40.0)
-        };
+        let live = small_live(address);
         match LiveCamera::start(&live, &mut CameraMemory::default()) {
             Ok(camera) => {
                 opened += 1;
@@ -225,16 +230,7 @@ fn what_the_library_would_not_survive_never_reaches_it() {
             ..EmulatorOptions::new(address, "H2")
         };
         let camera = Emulator::start(&options, shape, pattern(shape)).unwrap();
-        let which = CameraAddress {
-            address: Some(address),
-            ..CameraAddress::default()
-        };
-        let live = LiveOptions {
-            buffers: 8,
-            packet_size: Some(1500),
-            realtime_priority: None,
-            ..LiveOptions::new(CameraId::new("first").unwrap(), which, (64, 32), 40.0)
-        };
+        let live = small_live(address);
         (camera, live)
     };
     let (own, live) = start(50, None);

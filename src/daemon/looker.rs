@@ -202,7 +202,8 @@ mod tests {
                 });
             }
             eye.push(&canvas.frame(begin + number, 175.0, 2.0)).unwrap();
-            flying.extend(eye.flying());
+            let open = eye.open();
+            flying.extend(eye.flying(&open));
             ended.extend(eye.drain());
         }
         (flying.remove(0), ended.remove(0))

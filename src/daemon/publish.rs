@@ -72,7 +72,8 @@ pub fn in_flight_line(outlook: &Outlook, flight: u32, calibration_version: u32) 
     serde_json::to_string(&line).ok().map(|text| text + "\n")
 }
 
-/// Writes pitches and calibrations until both end. A stalled reader of standard output costs only lines there (`lines` is a short queue to a thread of its own).
+/// Writes pitches and calibrations until both end. A stalled reader of standard output costs only lines there (`lines` is
+/// a short queue to a thread of its own).
 pub fn publish(
     folder: &Path,
     pitches: &Receiver<Published>,

@@ -14,6 +14,7 @@ use super::looker::{BallToLookAt, ToLook};
 use crate::capture::aravis::LiveFrame;
 use crate::eye::{BallStep, EndedBall, EyeConfig, FirstLook};
 use crate::time::{ArrivalTime, ClockLine, StampedMidpoint};
+use crate::tracking::OpenPath;
 
 /// Where an eye's thread sends what it finds.
 pub struct EyeChannels {
@@ -109,7 +110,13 @@ impl Watcher<'_> {
             }
         };
         self.health.latency.add_since_ns(self.last_arrival.nanos());
-        self.tell_of_flights();
+        let open = eye.open();
+        let flying = eye.flying(&open);
+        self.tell_of_flights(open);
+        for flying in flying {
+            // Only a help: where it is missed the fit begins anew.
+            let _ = self.channels.look.try_send(ToLook::Flying(Box::new(flying)));
+        }
         self.hand_on();
         self.tell_how_far();
     }
@@ -123,11 +130,10 @@ impl Watcher<'_> {
     }
 
     /// The balls in flight, and once that there are none any more.
-    fn tell_of_flights(&mut self) {
+    fn tell_of_flights(&mut self, paths: Vec<OpenPath>) {
         let Some((eye, clock_epoch)) = &self.watching else {
             return;
         };
-        let paths = eye.open();
         self.health.in_flight.store(!paths.is_empty(), Ordering::Relaxed);
         let Some(in_flight) = self
             .channels
@@ -169,10 +175,6 @@ impl Watcher<'_> {
             return;
         };
         let clock_epoch = *clock_epoch;
-        for flying in eye.flying() {
-            // As below: where it is missed the fit begins anew.
-            let _ = self.channels.look.try_send(ToLook::Flying(Box::new(flying)));
-        }
         for ending in eye.ending() {
             // Only a help: it may be missed.
             let _ = self.channels.look.try_send(ToLook::Early(Box::new(ending)));

@@ -85,14 +85,24 @@ impl Sweep {
     /// A sweep along this vector (start to end of the exposure) of a disc with this blur (σ, pixels), to which the lens
     /// does this there (offset on the axis to offset in the picture).
     pub fn new(streak_px: Vector2<f64>, blur_px: f64, shape: &Matrix2<f64>) -> Self {
-        let (at_rest, per_blur) = INSTANTS;
-        let count = at_rest + per_blur * streak_px.norm() / blur_px;
         Self {
             streak_px,
-            instants: gauss_legendre((count.ceil() as usize).clamp(1, INSTANTS_MAX)),
+            instants: instants(&streak_px, blur_px),
             on_axis: shape.try_inverse().unwrap_or_else(Matrix2::identity),
         }
     }
+
+    /// For a disc of another blur.
+    pub fn blur(&mut self, blur_px: f64) {
+        self.instants = instants(&self.streak_px, blur_px);
+    }
+}
+
+/// As many instants as a streak needs before this blur.
+fn instants(streak_px: &Vector2<f64>, blur_px: f64) -> Vec<(f64, f64)> {
+    let (at_rest, per_blur) = INSTANTS;
+    let count = at_rest + per_blur * streak_px.norm() / blur_px;
+    gauss_legendre((count.ceil() as usize).clamp(1, INSTANTS_MAX))
 }
 
 /// Places in [−½, ½] and weights (sum 1) of the rule of `count` points: the zeros of the Legendre polynomial, by Newton's

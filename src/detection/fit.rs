@@ -214,11 +214,7 @@ impl Picture {
 
     /// For an edge of another blur.
     pub fn blur(&mut self, edge: &Edge) {
-        let on_axis = self.sweep.on_axis;
-        self.sweep = Sweep {
-            on_axis,
-            ..Sweep::new(self.sweep.streak_px, edge.sigma_px, &Matrix2::identity())
-        };
+        self.sweep.blur(edge.sigma_px);
     }
 
     /// The same pixels for another place in the track, and the streak as it is known there; `None` where the ball that

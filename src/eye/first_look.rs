@@ -139,24 +139,26 @@ impl FirstLook {
             .collect()
     }
 
-    /// Balls in flight of which enough is new since they were told of.
-    pub fn flying(&mut self) -> Vec<FlyingBall> {
+    /// Those of the balls in flight ([`Self::open`]) of which enough is new since they were told of.
+    pub fn flying(&mut self, open: &[OpenPath]) -> Vec<FlyingBall> {
         let (first, every) = FLYING_POINTS;
-        let due = |path: &OpenPath| {
+        let due = |path: &&OpenPath| {
             path.newest_frame() > self.flying_told
                 && path.points() >= first
                 && (path.points() - first).is_multiple_of(every)
         };
-        let mut paths = self.tracker.open();
-        paths.retain(due);
-        let newest = paths.iter().filter_map(OpenPath::newest_frame).max();
+        let told: Vec<FlyingBall> = open
+            .iter()
+            .filter(due)
+            .map(|path| FlyingBall {
+                camera: self.camera.clone(),
+                path: path.clone(),
+                cut_outs: self.detector.cut_outs(&path.track(&self.camera)),
+            })
+            .collect();
+        let newest = told.iter().filter_map(|ball| ball.path.newest_frame()).max();
         self.flying_told = newest.max(self.flying_told);
-        let told = paths.into_iter().map(|path| FlyingBall {
-            cut_outs: self.detector.cut_outs(&path.track(&self.camera)),
-            camera: self.camera.clone(),
-            path,
-        });
-        told.collect()
+        told
     }
 
     /// The likeliest balls in flight.

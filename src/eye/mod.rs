@@ -71,7 +71,8 @@ impl CameraEye {
     }
 
     fn look_again(&mut self) {
-        for flying in self.first.flying() {
+        let open = self.first.open();
+        for flying in self.first.flying(&open) {
             self.second.look_ahead(&flying);
         }
         for ended in self.first.drain() {

@@ -134,7 +134,8 @@ fn a_look_before_the_end_is_the_look_after_it() {
     for frame in frames() {
         first.push(&frame).unwrap();
         eye.push(&frame).unwrap();
-        for flying in first.flying() {
+        let open = first.open();
+        for flying in first.flying(&open) {
             second.look_ahead(&flying);
             ahead += 1;
         }
@@ -162,7 +163,8 @@ fn a_ball_looked_at_in_flight_is_the_ball_looked_at_at_once() {
     let (mut at_once, mut in_flight) = (SecondLook::new(&config), SecondLook::new(&config));
     for frame in frames() {
         first.push(&frame).unwrap();
-        for flying in first.flying() {
+        let open = first.open();
+        for flying in first.flying(&open) {
             in_flight.look_ahead(&flying);
         }
         for ended in first.drain() {
