@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may")]
 
+mod lab;
+
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -121,7 +123,7 @@ fn aravis_own_tool_reads_and_writes_its_features() {
         ])
         .output();
     let Ok(output) = tool else {
-        println!("skipped: no arv-tool-0.8 on this machine (Debian: aravis-tools-cli)");
+        lab::skip("arv-tool-0.8 (Debian: aravis-tools-cli)");
         return;
     };
     let text = String::from_utf8_lossy(&output.stdout);
@@ -161,14 +163,14 @@ fn gstreamers_source_takes_its_frames() {
         .output();
     let there = Command::new("gst-launch-1.0").arg("--version").output().is_ok();
     let (true, Ok(output)) = (there, output) else {
-        println!("skipped: no gst-launch-1.0 on this machine (Debian: gstreamer1.0-tools)");
+        lab::skip("gst-launch-1.0 (Debian: gstreamer1.0-tools)");
         return;
     };
     let bytes = std::fs::read(&file).unwrap_or_default();
     let expected: Vec<Vec<u8>> = pattern(SHAPE).take(16).map(|f| f.pixels.to_vec()).collect();
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     if said.contains("no element \"aravissrc\"") {
-        println!("skipped: no GStreamer plugin of Aravis on this machine");
+        lab::skip("the GStreamer plugin of Aravis (Debian: libaravis-0.8-0)");
         return;
     }
     assert_eq!(bytes.len(), 10 * 320 * 160, "{said}");

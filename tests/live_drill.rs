@@ -191,7 +191,7 @@ impl SmallDisk {
         if mounted.is_ok_and(|s| s.success()) {
             return Self(Some(path));
         }
-        println!("no small disk here: the folder is a file instead");
+        lab::skip("a small disk (mount -t tmpfs); the folder is a file instead");
         std::fs::remove_dir(&path).unwrap();
         std::fs::write(&path, "x").unwrap();
         Self(None)
@@ -369,7 +369,7 @@ fn number(log: &str, camera: &str, word: &str) -> u64 {
 fn pitches_go_on_through_every_fault() {
     let lab = match Lab::new('d', CAMERAS.len() + 1) {
         Ok(lab) => lab,
-        Err(why) => return println!("skipped: no network namespaces here: {why}"),
+        Err(why) => return lab::skip(&format!("network namespaces: {why}")),
     };
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

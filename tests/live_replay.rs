@@ -208,7 +208,7 @@ fn same_numbers(live: &[Pitch], replayed: &[Pitch]) {
 fn live_is_replay() {
     let lab = match Lab::new('l', CAMERAS.len()) {
         Ok(lab) => lab,
-        Err(why) => return println!("skipped: no network namespaces here: {why}"),
+        Err(why) => return lab::skip(&format!("network namespaces: {why}")),
     };
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

@@ -2,6 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may")]
 
+mod lab;
+
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -14,7 +16,7 @@ fn unit() -> String {
 /// `systemd-analyze` with these arguments; `None` where there is none.
 fn analyze(arguments: &[&str]) -> Option<(bool, String)> {
     let Ok(output) = Command::new("systemd-analyze").args(arguments).output() else {
-        println!("skipped: no systemd-analyze on this machine");
+        lab::skip("systemd-analyze (Debian: systemd)");
         return None;
     };
     let text = [output.stdout, output.stderr].concat();
@@ -169,7 +171,7 @@ fn the_unit_runs_under_a_real_systemd() {
     std::fs::write(etc.join("pitchd.toml"), config).unwrap();
     let booted = match Booted::new(folder.path()) {
         Ok(booted) => booted,
-        Err(why) => return println!("skipped: no systemd can be booted here: {why}"),
+        Err(why) => return lab::skip(&format!("a systemd that can be booted: {why}")),
     };
     // READY=1 makes it active; STATUS comes with the watchdog, which is fed by frames that were processed.
     booted.wait("ActiveState", "active", Duration::from_secs(30));
@@ -257,7 +259,7 @@ fn the_unit_runs_under_a_real_systemd() {
 fn the_package_holds_all_that_an_installation_needs() {
     let there = |program: &str| Command::new(program).arg("--version").output().is_ok();
     if !(there("make") && there("dpkg-deb")) {
-        return println!("skipped: no make or no dpkg-deb on this machine");
+        return lab::skip("make and dpkg-deb");
     }
     let folder = tempfile::tempdir().unwrap();
     let made = Command::new("make")
