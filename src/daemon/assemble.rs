@@ -1,19 +1,20 @@
 //! Tracks of all cameras to pitches as they happen: grouping, solving, and asking for calibrations.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, TrySendError};
 
+use super::ball::{Ball, Solved, Watched};
 use super::batch::{BatchOptions, solve_tracks, usual_rms_px};
-use super::foresee::CalibrationInUse;
+use super::calibrating::{CalibrationAnswer, CalibrationInUse, CalibrationRequest, Epochs, from_file};
 use super::health::{CameraHealth, CameraState};
 use super::looker::SeenTrack;
 use super::recorder::ClipTrigger;
 use crate::flight::is_far_off;
-use crate::scene::{Calibration, CameraId, ParameterKind, Pitch, Rig, Track, WorldFrame};
+use crate::scene::{Calibration, CameraId, Pitch, Rig, Track};
 use crate::time::{ArrivalTime, StampedMidpoint};
 
 /// When pitches are calibrated from.
@@ -48,36 +49,6 @@ pub struct Published {
     pub exposed: Option<StampedMidpoint>,
 }
 
-/// Work for the calibration worker.
-pub struct CalibrationRequest {
-    tracks: Vec<Track>,
-    epochs: Epochs,
-    version: u32,
-}
-
-/// Its answer.
-pub struct CalibrationAnswer {
-    calibration: Option<Calibration>,
-    epochs: Epochs,
-    reason: String,
-}
-
-/// Clock epoch per camera.
-pub type Epochs = BTreeMap<CameraId, u32>;
-
-/// Tracks this close in time may be one ball: cameras see different parts of a flight.
-const TOGETHER_S: f64 = 0.6;
-/// A camera that has been watched this far past a ball's end has no more to tell of it, seconds of its stamps.
-const DECIDED_S: f64 = 0.4;
-/// A camera that lags behind the others by more than this is not waited for.
-const PATIENCE: Duration = Duration::from_secs(5);
-
-/// A pitch in the making, or made.
-struct Ball {
-    tracks: Vec<SeenTrack>,
-    published: bool,
-}
-
 /// The assembler's thread.
 pub struct Assembler {
     /// The rig, its cameras' stamps taken as roughly alike.
@@ -85,7 +56,7 @@ pub struct Assembler {
     /// Pitches published by earlier runs: numbers go on after them.
     pub numbers_before: u32,
     /// The calibration in use, with the clock epochs it holds for.
-    pub calibration: Option<(Calibration, Epochs)>,
+    pub calibration: Option<CalibrationInUse>,
     /// When to calibrate.
     pub plan: CalibrationPlan,
     /// State of every camera.
@@ -105,7 +76,7 @@ pub struct Assembler {
 /// What the assembler keeps.
 #[derive(Default)]
 struct Desk {
-    open: Vec<(Ball, Instant)>,
+    open: Vec<Ball>,
     window: VecDeque<Ball>,
     numbers: u32,
     since_calibration: usize,
@@ -136,7 +107,7 @@ impl Assembler {
                 Err(RecvTimeoutError::Disconnected) => break,
             }
             // First how far the cameras have been watched, then their tracks: none can be missed in between.
-            let alive = self.alive();
+            let cameras = self.watched();
             for seen in tracks.try_iter() {
                 self.take(seen, &mut desk);
             }
@@ -149,9 +120,10 @@ impl Assembler {
                     self.replace(calibration, &mut desk);
                 }
             }
-            self.close_ripe(&mut desk, Some(&alive));
+            self.publish_complete(&mut desk, &cameras);
+            self.close_decided(&mut desk, Some(&cameras));
         }
-        self.close_ripe(&mut desk, None);
+        self.close_decided(&mut desk, None);
         if desk.waiting
             && let Ok(answer) = answers.recv_timeout(Duration::from_secs(20))
         {
@@ -160,74 +132,63 @@ impl Assembler {
     }
 
     fn take(&self, seen: SeenTrack, desk: &mut Desk) {
-        let Some((begin, end)) = seen.track.span() else {
-            return;
-        };
-        let near = desk.open.iter_mut().find(|(ball, _)| {
-            ball.tracks.iter().filter_map(|t| t.track.span()).any(|(b, e)| {
-                begin.seconds_since(e.nanos()) < TOGETHER_S && b.seconds_since(end.nanos()) < TOGETHER_S
-            })
-        });
-        match near {
-            Some((ball, since)) => {
-                ball.tracks.push(seen);
-                *since = Instant::now();
-            }
-            None => {
-                let ball = Ball {
-                    tracks: vec![seen],
-                    published: false,
-                };
-                desk.open.push((ball, Instant::now()));
-            }
+        match desk.open.iter_mut().find(|ball| ball.may_have(&seen.track)) {
+            Some(ball) => ball.add(seen),
+            None => desk.open.extend(Ball::new(seen)),
         }
     }
 
-    /// Cameras that may still tell of a ball, each with the stamp up to which it has told all.
-    fn alive(&self) -> Vec<(CameraId, i64)> {
-        self.health
-            .iter()
-            .filter(|h| matches!(h.state(), CameraState::Streaming | CameraState::Degraded))
-            .map(|h| (h.camera.clone(), h.watched_until_ns.load(Ordering::Acquire)))
+    /// How far the cameras that send frames have been watched.
+    fn watched(&self) -> Vec<Watched> {
+        let sending = self.health.iter().filter(|h| h.state() == CameraState::Streaming);
+        sending
+            .map(|health| Watched {
+                camera: health.camera.clone(),
+                settled_ns: health.settled_ns.load(Ordering::Acquire),
+                clear_ns: health.clear_ns.load(Ordering::Acquire),
+            })
             .collect()
     }
 
-    /// Closes balls of which every living camera has told, or that have waited long enough; all of them at the end
-    /// (`None`). By the frames' own time, not the wall's: a busy host delays pitches and does not tear them apart.
-    fn close_ripe(&mut self, desk: &mut Desk, alive: Option<&[(CameraId, i64)]>) {
-        let ripe = |(ball, since): &(Ball, Instant)| {
-            let Some(alive) = alive else { return true };
-            let end_ns = ball
-                .tracks
-                .iter()
-                .filter_map(|t| Some(t.track.span()?.1.nanos()))
-                .max();
-            let decided_ns = end_ns.unwrap_or(0).saturating_add((1e9 * DECIDED_S) as i64);
-            let told = |(camera, until_ns): &(CameraId, i64)| {
-                *until_ns > decided_ns || ball.tracks.iter().any(|t| t.track.camera == *camera)
-            };
-            alive.iter().all(told) || since.elapsed() > PATIENCE
+    /// Publishes balls of which every camera has told that can, without waiting for those that only might.
+    fn publish_complete(&mut self, desk: &mut Desk, cameras: &[Watched]) {
+        let Some((calibration, _)) = &self.calibration else {
+            return;
         };
-        let (ready, open) = std::mem::take(&mut desk.open).into_iter().partition(ripe);
+        let mut open = std::mem::take(&mut desk.open);
+        for ball in open.iter_mut().filter(|b| !b.published && b.cameras().len() > 1) {
+            self.solve(ball);
+            if ball.is_complete(cameras, calibration) {
+                self.publish(ball, desk, Wait::Live);
+            }
+        }
         desk.open = open;
-        let ready: Vec<(Ball, Instant)> = ready;
-        for (ball, _) in ready {
+    }
+
+    /// Closes balls of which every camera has told or never will; all of them at the end (`None`).
+    fn close_decided(&mut self, desk: &mut Desk, cameras: Option<&[Watched]>) {
+        let is_decided = |ball: &Ball| cameras.is_none_or(|cameras| ball.is_decided(cameras));
+        let (decided, open): (Vec<Ball>, Vec<Ball>) =
+            std::mem::take(&mut desk.open).into_iter().partition(is_decided);
+        desk.open = open;
+        for ball in decided {
             self.close(ball, desk);
         }
     }
 
     fn close(&mut self, mut ball: Ball, desk: &mut Desk) {
-        let cameras: std::collections::BTreeSet<_> = ball.tracks.iter().map(|t| &t.track.camera).collect();
-        if cameras.len() < 2 {
-            let track = ball
-                .tracks
-                .first()
-                .map(|t| (t.track.camera.to_string(), t.track.points.len()));
+        if ball.cameras().len() < 2 {
+            let track = ball.tracks().first();
+            let track = track.map(|t| (t.track.camera.to_string(), t.track.points.len()));
             tracing::info!(?track, "a ball that one camera alone has seen");
             return;
         }
         self.ask_for_clip(&ball);
-        self.solve(&mut ball, desk, Wait::Live);
+        if !ball.published {
+            self.solve(&mut ball);
+            self.publish(&mut ball, desk, Wait::Live);
+        }
+        ball.solved = None;
         desk.window.push_back(ball);
         desk.since_calibration += 1;
         while desk.window.len() > self.plan.window_pitches {
@@ -237,41 +198,53 @@ impl Assembler {
     }
 
     fn ask_for_clip(&self, ball: &Ball) {
-        let spans: Vec<_> = ball.tracks.iter().filter_map(|t| t.track.span()).collect();
-        let first = spans.iter().map(|s| s.0.nanos()).min();
-        let last = spans.iter().map(|s| s.1.nanos()).max();
-        if let (Some(clips), Some(first_ns), Some(last_ns)) = (&self.clips, first, last)
-            && clips.try_send(ClipTrigger { first_ns, last_ns }).is_err()
-        {
+        let (Some(clips), Some((first, last))) = (&self.clips, ball.span()) else {
+            return;
+        };
+        let trigger = ClipTrigger {
+            first_ns: first.nanos(),
+            last_ns: last.nanos(),
+        };
+        if clips.try_send(trigger).is_err() {
             tracing::error!("a clip could not be asked for: the recorder is behind");
         }
     }
 
-    /// Solves a ball with the calibration in use, by the cameras whose clocks it still holds for.
-    fn solve(&self, ball: &mut Ball, desk: &mut Desk, wait: Wait) {
-        let Some((calibration, epochs)) = &self.calibration else {
+    /// Solves a ball with the calibration in use, by the cameras whose clocks it still holds for; once for the same tracks.
+    fn solve(&self, ball: &mut Ball) {
+        let Some((calibration, epochs)) = self.calibration.as_ref().filter(|_| ball.solved.is_none()) else {
             return;
         };
-        let valid: Vec<Track> = ball
-            .tracks
-            .iter()
-            .filter(|t| epochs.get(&t.track.camera) == Some(&t.clock_epoch))
-            .map(|t| t.track.clone())
-            .collect();
+        let seen = ball.tracks().iter();
+        let valid = seen.filter(|t| epochs.get(&t.track.camera) == Some(&t.clock_epoch));
+        let valid: Vec<Track> = valid.map(|t| t.track.clone()).collect();
         let options = BatchOptions {
             calibration: Some(calibration.clone()),
             ..BatchOptions::default()
         };
-        let batch = match solve_tracks(&self.rig, &valid, &options) {
-            Ok(batch) => batch,
-            Err(error) => {
-                tracing::warn!(%error, "a ball was not solved");
-                return;
+        let mut solved = Solved::default();
+        match solve_tracks(&self.rig, &valid, &options) {
+            Ok(batch) => {
+                for warning in &batch.warnings {
+                    tracing::debug!("{warning}");
+                }
+                let mut pitches = batch.pitches.iter();
+                solved.fits = pitches.all(|pitch| misfit(pitch, &batch.calibration).is_none());
+                solved.batch = Some(batch);
             }
-        };
-        for warning in &batch.warnings {
-            tracing::debug!("{warning}");
+            Err(error) => tracing::warn!(%error, "a ball was not solved"),
         }
+        ball.solved = Some(solved);
+    }
+
+    /// Sends the pitches of a solved ball out.
+    fn publish(&self, ball: &mut Ball, desk: &mut Desk, wait: Wait) {
+        let Some(Solved {
+            batch: Some(batch), ..
+        }) = ball.solved.take()
+        else {
+            return;
+        };
         for mut pitch in batch.pitches {
             if let Some(why) = misfit(&pitch, &batch.calibration) {
                 desk.misfits += 1;
@@ -284,13 +257,11 @@ impl Assembler {
             let tracks = solved.map(|f| f.tracks.clone()).unwrap_or_default();
             ball.published = true;
             pitch.pitch = number;
-            let complete = ball.tracks.iter().map(|t| t.complete).max();
-            let exposed = ball.tracks.iter().filter_map(|t| Some(t.track.span()?.1)).max();
             let published = Published {
                 pitch,
                 tracks,
-                complete: complete.filter(|_| wait == Wait::Live),
-                exposed: exposed.filter(|_| wait == Wait::Live),
+                complete: ball.complete().filter(|_| wait == Wait::Live),
+                exposed: ball.span().map(|s| s.1).filter(|_| wait == Wait::Live),
             };
             if self.publish.try_send(published).is_err() {
                 tracing::error!(number, "a pitch could not be published: the queue is full");
@@ -300,7 +271,7 @@ impl Assembler {
 
     fn current_epochs(desk: &Desk) -> Epochs {
         let mut epochs = Epochs::new();
-        for seen in desk.window.iter().flat_map(|b| &b.tracks) {
+        for seen in desk.window.iter().flat_map(Ball::tracks) {
             let newest = epochs
                 .entry(seen.track.camera.clone())
                 .or_insert(seen.clock_epoch);
@@ -315,8 +286,16 @@ impl Assembler {
         let is_valid = |t: &SeenTrack| epochs.get(&t.track.camera) == Some(&t.clock_epoch);
         // Pitches that two cameras saw with their present clocks.
         let shared = |camera: &CameraId| {
-            let has = |b: &&Ball| b.tracks.iter().any(|t| is_valid(t) && t.track.camera == *camera);
-            let others = |b: &&Ball| b.tracks.iter().any(|t| is_valid(t) && t.track.camera != *camera);
+            let has = |b: &&Ball| {
+                b.tracks()
+                    .iter()
+                    .any(|t| is_valid(t) && t.track.camera == *camera)
+            };
+            let others = |b: &&Ball| {
+                b.tracks()
+                    .iter()
+                    .any(|t| is_valid(t) && t.track.camera != *camera)
+            };
             desk.window.iter().filter(|b| has(b) && others(b)).count()
         };
         let enough = epochs
@@ -339,7 +318,7 @@ impl Assembler {
         let tracks = desk
             .window
             .iter()
-            .flat_map(|b| b.tracks.iter().filter(|t| is_valid(t)).map(|t| t.track.clone()))
+            .flat_map(|b| b.tracks().iter().filter(|t| is_valid(t)).map(|t| t.track.clone()))
             .collect();
         let request = CalibrationRequest {
             tracks,
@@ -389,7 +368,8 @@ impl Assembler {
         // What could not be solved before is solved now.
         let mut window = std::mem::take(&mut desk.window);
         for ball in window.iter_mut().filter(|b| !b.published) {
-            self.solve(ball, desk, Wait::ForCalibration);
+            self.solve(ball);
+            self.publish(ball, desk, Wait::ForCalibration);
         }
         desk.window = window;
     }
@@ -417,64 +397,4 @@ fn misfit(pitch: &Pitch, calibration: &Calibration) -> Option<String> {
 enum Wait {
     Live,
     ForCalibration,
-}
-
-/// The calibration worker's thread: one request at a time, never in the way of a pitch.
-pub fn calibrate(rig: &Rig, requests: &Receiver<CalibrationRequest>, answers: &Sender<CalibrationAnswer>) {
-    for request in requests {
-        let begun = Instant::now();
-        let made = solve_tracks(rig, &request.tracks, &BatchOptions::default());
-        let (calibration, reason) = match made {
-            Ok(batch) if batch.calibration.world != WorldFrame::HomePlate => (
-                None,
-                "the rig's landmarks do not fix the home-plate frame".to_owned(),
-            ),
-            Ok(batch) => {
-                let mut calibration = batch.calibration;
-                calibration.version = request.version;
-                tracing::info!(
-                    pitches = batch.flights.len(),
-                    seconds = begun.elapsed().as_secs_f64(),
-                    "calibrated"
-                );
-                (Some(calibration), String::new())
-            }
-            Err(error) => (None, error.to_string()),
-        };
-        let answer = CalibrationAnswer {
-            calibration,
-            epochs: request.epochs,
-            reason,
-        };
-        if answers.send(answer).is_err() {
-            return;
-        }
-    }
-}
-
-/// A calibration that was read from a file as it holds for live stamps, and for which clock epochs: each camera's first.
-///
-/// Live stamps are on this host's clock, so there is no skew between them; a skew that another session had would move a
-/// delay that is stated hours ago by seconds.
-pub fn from_file(mut calibration: Calibration) -> CalibrationInUse {
-    for camera in &mut calibration.cameras {
-        camera.clock_skew_ppm = 0.0;
-    }
-    let kept: Vec<bool> = calibration
-        .parameters
-        .iter()
-        .map(|p| p.kind != ParameterKind::ClockSkew)
-        .collect();
-    let keep = |row: Vec<f64>| -> Vec<f64> {
-        let kept = row.into_iter().zip(&kept).filter(|(_, kept)| **kept);
-        kept.map(|(value, _)| value).collect()
-    };
-    let rows = std::mem::take(&mut calibration.covariance);
-    let kept_rows = rows.into_iter().zip(&kept).filter(|(_, kept)| **kept);
-    calibration.covariance = kept_rows.map(|(row, _)| keep(row)).collect();
-    calibration
-        .parameters
-        .retain(|p| p.kind != ParameterKind::ClockSkew);
-    let epochs = calibration.cameras.iter().map(|c| (c.id.clone(), 0)).collect();
-    (calibration, epochs)
 }

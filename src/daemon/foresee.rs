@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use nalgebra::Vector2;
 
-use super::assemble::Epochs;
+use super::calibrating::CalibrationInUse;
 use super::publish::{PublishHealth, in_flight_line};
 use crate::flight::{FlightOptions, look_ahead};
 use crate::geometry::Pixel;
@@ -29,9 +29,6 @@ pub struct InFlight {
     /// What is to be added to their centres: the first look's are drawn to the light, pixels.
     pub off_light_px: Vector2<f64>,
 }
-
-/// A calibration to look ahead with, and the clock epochs it holds for.
-pub type CalibrationInUse = (Calibration, Epochs);
 
 /// No two estimates follow each other faster: 100 Hz.
 const PACE: Duration = Duration::from_millis(10);

@@ -68,7 +68,10 @@ pub struct CameraHealth {
     /// Times the camera was lost.
     pub losses: AtomicU64,
     /// Stamp up to which every track has been handed on, nanoseconds.
-    pub watched_until_ns: AtomicI64,
+    pub settled_ns: AtomicI64,
+    /// Stamp of the newest frame at which nothing was being followed that might be a ball, and what had been followed
+    /// before it was handed on, nanoseconds.
+    pub clear_ns: AtomicI64,
     /// Of every frame: from arrival of its first packet to the end of detection.
     pub latency: Histogram,
     /// Of every ball: from arrival of the frame with which its path ended to its fitted track.
@@ -93,7 +96,8 @@ impl CameraHealth {
             in_flight: AtomicBool::new(false),
             tracks: AtomicU64::new(0),
             losses: AtomicU64::new(0),
-            watched_until_ns: AtomicI64::new(i64::MIN),
+            settled_ns: AtomicI64::new(i64::MIN),
+            clear_ns: AtomicI64::new(i64::MIN),
             latency: Histogram::default(),
             second_look: Histogram::default(),
         }

@@ -32,8 +32,13 @@ pub enum ToLook {
     Early(Box<EndedBall>),
     /// A ball whose path has ended.
     Ball(Box<BallToLookAt>),
-    /// Every ball up to this stamp has been told of.
-    WatchedUntil(StampedMidpoint),
+    /// How far has been watched.
+    Watched {
+        /// Every ball up to this stamp has been told of.
+        settled: Option<StampedMidpoint>,
+        /// Nothing is being followed any more at this one.
+        clear: Option<StampedMidpoint>,
+    },
 }
 
 /// A ball whose path has ended.
@@ -97,13 +102,12 @@ pub fn look(
             }
             Ok(other) => {
                 // How far has been watched: the newest says it all.
-                if matches!(
-                    (&other, waiting.back()),
-                    (ToLook::WatchedUntil(_), Some(ToLook::WatchedUntil(_)))
-                ) {
-                    waiting.pop_back();
+                match (other, waiting.back_mut()) {
+                    (ToLook::Watched { settled, clear }, Some(ToLook::Watched { settled: s, clear: c })) => {
+                        (*s, *c) = (settled.or(*s), clear.or(*c));
+                    }
+                    (other, _) => waiting.push_back(other),
                 }
-                waiting.push_back(other);
             }
             Err(RecvTimeoutError::Timeout) => flying_until = None,
             Err(RecvTimeoutError::Disconnected) => break,
@@ -132,10 +136,12 @@ impl Looker<'_> {
     fn take(&mut self, told: ToLook) {
         match told {
             ToLook::Ball(ball) => self.look_at(*ball),
-            ToLook::WatchedUntil(stamped) => {
-                self.health
-                    .watched_until_ns
-                    .store(stamped.nanos(), Ordering::Release);
+            ToLook::Watched { settled, clear } => {
+                for (to, from) in [(&self.health.settled_ns, settled), (&self.health.clear_ns, clear)] {
+                    if let Some(stamped) = from {
+                        to.store(stamped.nanos(), Ordering::Release);
+                    }
+                }
             }
             ToLook::Flying(_) | ToLook::Early(_) => {}
         }
@@ -229,7 +235,10 @@ mod tests {
         for message in [
             ToLook::Flying(Box::new(flying)),
             to_look_at(beside),
-            ToLook::WatchedUntil(watched),
+            ToLook::Watched {
+                settled: Some(watched),
+                clear: None,
+            },
             to_look_at(ended),
         ] {
             told.send(message).unwrap();
@@ -243,6 +252,6 @@ mod tests {
             .collect();
         assert_eq!(seen.len(), 2);
         assert!(seen[0] > 1000 && seen[1].abs_diff(beside_begins) <= 2, "{seen:?}");
-        assert_eq!(health.watched_until_ns.load(Ordering::Acquire), watched.nanos());
+        assert_eq!(health.settled_ns.load(Ordering::Acquire), watched.nanos());
     }
 }

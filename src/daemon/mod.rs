@@ -1,7 +1,9 @@
 //! Threads, channels, supervision; knows every room, contains no mathematics.
 
 pub mod assemble;
+pub mod ball;
 pub mod batch;
+pub mod calibrating;
 pub mod clip_disk;
 pub mod foresee;
 pub mod health;

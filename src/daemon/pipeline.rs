@@ -41,7 +41,8 @@ use std::thread::JoinHandle;
 
 use crossbeam_channel::{Sender, bounded};
 
-use super::assemble::{self, Assembler, CalibrationPlan, NewPlan};
+use super::assemble::{Assembler, CalibrationPlan, NewPlan};
+use super::calibrating;
 use super::clip_disk::ClipDisk;
 use super::foresee::{Foresee, InFlight};
 use super::health::CameraHealth;
@@ -146,7 +147,7 @@ pub fn start(
         captures.push(((name, below(priority, Urgency::Capture)), supervisor));
         let (look_in, look) = bounded(LOOK_QUEUE);
         let (steps_in, steps) = bounded(4);
-        let eye = outfit::eye_of(&rig, &connection.id, None);
+        let eye = outfit::eye_of(&rig, &connection.id, calibration.as_ref());
         trackers.insert(connection.id.clone(), eye.tracker.clone());
         let channels = EyeChannels {
             look: look_in,
@@ -181,7 +182,7 @@ pub fn start(
     let assembler = Assembler {
         rig: rig.clone(),
         numbers_before: publish::last_number(&config.results),
-        calibration: calibration.map(assemble::from_file),
+        calibration: calibration.map(calibrating::from_file),
         plan: plan_of(config),
         health: health.clone(),
         requests: requests_in,
@@ -194,7 +195,7 @@ pub fn start(
         assembler.run(&tracks, &answers, &plans)
     })?);
     threads.push(named("calibrate".into(), move || {
-        assemble::calibrate(&rig, &requests, &answers_in);
+        calibrating::calibrate(&rig, &requests, &answers_in);
     })?);
     threads.push(named("print".into(), move || publish::print(&lines, &estimates))?);
     let (folder, publish_health) = (config.results.clone(), published.clone());

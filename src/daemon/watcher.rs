@@ -112,13 +112,15 @@ impl Watcher<'_> {
         self.health.latency.add_since_ns(self.last_arrival.nanos());
         let open = eye.open();
         let flying = eye.flying(&open);
+        let follows = !open.is_empty();
+        self.health.in_flight.store(follows, Ordering::Relaxed);
         self.tell_of_flights(open);
         for flying in flying {
             // Only a help: where it is missed the fit begins anew.
             let _ = self.channels.look.try_send(ToLook::Flying(Box::new(flying)));
         }
         self.hand_on();
-        self.tell_how_far();
+        self.tell_how_far(follows);
     }
 
     fn end_window(&mut self) {
@@ -134,7 +136,6 @@ impl Watcher<'_> {
         let Some((eye, clock_epoch)) = &self.watching else {
             return;
         };
-        self.health.in_flight.store(!paths.is_empty(), Ordering::Relaxed);
         let Some(in_flight) = self
             .channels
             .in_flight
@@ -159,15 +160,21 @@ impl Watcher<'_> {
 
     /// Only after the balls have gone: whoever hears this will have had them. The eye answers some frames late, and
     /// after a pause it tells of what was before only then.
-    fn tell_how_far(&self) {
+    fn tell_how_far(&self, follows: bool) {
         let Some((eye, _)) = &self.watching else { return };
-        let behind = 3 * eye.lag_frames() + 2;
-        let settled = self.recent.len().checked_sub(behind);
-        if let Some((_, stamped, _)) = settled.and_then(|k| self.recent.get(k))
-            && self.channels.look.len() + PLACES_FOR_BALLS < LOOK_QUEUE
-        {
-            let _ = self.channels.look.try_send(ToLook::WatchedUntil(*stamped));
+        if self.channels.look.len() + PLACES_FOR_BALLS >= LOOK_QUEUE {
+            return;
         }
+        let lag = eye.lag_frames();
+        let before = |frames: usize| {
+            let (_, stamped, _) = self.recent.get(self.recent.len().checked_sub(1 + frames)?)?;
+            Some(*stamped)
+        };
+        let told = ToLook::Watched {
+            settled: before(3 * lag + 1),
+            clear: before(lag).filter(|_| !follows),
+        };
+        let _ = self.channels.look.try_send(told);
     }
 
     fn hand_on(&mut self) {

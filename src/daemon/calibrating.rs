@@ -1,0 +1,95 @@
+//! The calibration worker, and the calibration in use with the clocks that it holds for.
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use crossbeam_channel::{Receiver, Sender};
+
+use super::batch::{BatchOptions, solve_tracks};
+use crate::scene::{Calibration, CameraId, ParameterKind, Rig, Track, WorldFrame};
+
+/// Clock epoch per camera.
+pub type Epochs = BTreeMap<CameraId, u32>;
+
+/// A calibration, and the clock epochs that it holds for.
+pub type CalibrationInUse = (Calibration, Epochs);
+
+/// Work for the calibration worker.
+pub struct CalibrationRequest {
+    /// Tracks of all its pitches.
+    pub tracks: Vec<Track>,
+    /// Clocks that they were stamped by.
+    pub epochs: Epochs,
+    /// Version that the calibration gets.
+    pub version: u32,
+}
+
+/// Its answer.
+pub struct CalibrationAnswer {
+    /// The calibration, if there is one.
+    pub calibration: Option<Calibration>,
+    /// Clocks that it holds for.
+    pub epochs: Epochs,
+    /// Why there is none.
+    pub reason: String,
+}
+
+/// The calibration worker's thread: one request at a time, never in the way of a pitch.
+pub fn calibrate(rig: &Rig, requests: &Receiver<CalibrationRequest>, answers: &Sender<CalibrationAnswer>) {
+    for request in requests {
+        let begun = Instant::now();
+        let made = solve_tracks(rig, &request.tracks, &BatchOptions::default());
+        let (calibration, reason) = match made {
+            Ok(batch) if batch.calibration.world != WorldFrame::HomePlate => (
+                None,
+                "the rig's landmarks do not fix the home-plate frame".to_owned(),
+            ),
+            Ok(batch) => {
+                let mut calibration = batch.calibration;
+                calibration.version = request.version;
+                tracing::info!(
+                    pitches = batch.flights.len(),
+                    seconds = begun.elapsed().as_secs_f64(),
+                    "calibrated"
+                );
+                (Some(calibration), String::new())
+            }
+            Err(error) => (None, error.to_string()),
+        };
+        let answer = CalibrationAnswer {
+            calibration,
+            epochs: request.epochs,
+            reason,
+        };
+        if answers.send(answer).is_err() {
+            return;
+        }
+    }
+}
+
+/// A calibration that was read from a file as it holds for live stamps, and for which clock epochs: each camera's first.
+///
+/// Live stamps are on this host's clock, so there is no skew between them; a skew that another session had would move a
+/// delay that is stated hours ago by seconds.
+pub fn from_file(mut calibration: Calibration) -> CalibrationInUse {
+    for camera in &mut calibration.cameras {
+        camera.clock_skew_ppm = 0.0;
+    }
+    let kept: Vec<bool> = calibration
+        .parameters
+        .iter()
+        .map(|p| p.kind != ParameterKind::ClockSkew)
+        .collect();
+    let keep = |row: Vec<f64>| -> Vec<f64> {
+        let kept = row.into_iter().zip(&kept).filter(|(_, kept)| **kept);
+        kept.map(|(value, _)| value).collect()
+    };
+    let rows = std::mem::take(&mut calibration.covariance);
+    let kept_rows = rows.into_iter().zip(&kept).filter(|(_, kept)| **kept);
+    calibration.covariance = kept_rows.map(|(row, _)| keep(row)).collect();
+    calibration
+        .parameters
+        .retain(|p| p.kind != ParameterKind::ClockSkew);
+    let epochs = calibration.cameras.iter().map(|c| (c.id.clone(), 0)).collect();
+    (calibration, epochs)
+}
