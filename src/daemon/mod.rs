@@ -8,6 +8,7 @@ pub mod clip_disk;
 pub mod foresee;
 pub mod health;
 pub mod histogram;
+pub mod keep;
 pub mod looker;
 pub mod outfit;
 pub mod pipeline;

@@ -3,8 +3,8 @@
 //! ```text
 //! cap-<id> ─(1)─► eye-<id> ─(2)─► look-<id> ─┐
 //! cap-<id> ─(1)─► eye-<id> ─(2)─► look-<id> ─┼─(3)─► assemble ─(6)─► publish ─(7)─► print
-//!     …             │   ▲──(12)──   …        ┘        │   ▲   ─(8)─►   │             ▲
-//!                  (13)                              (4) (5)           └─► files    (15)
+//!     …             │   ▲──(12)──   …        ┘        │   ▲  │          (16)          ▲
+//!                  (13)                              (4) (5) └───(8)───► keep       (15)
 //!                   ▼                                 ▼   │                          │
 //!                foresee ◄──────────────(14)──── calibrate ; assemble            foresee
 //!
@@ -24,7 +24,9 @@
 //! | | | balls to cut out | (11) 16 | the clip is lost, logged as an error |
 //! | `calibrate` | requests | answers | (5) 1 answer | waits |
 //! | `foresee` | balls in flight | estimates, as lines | (15) 8 lines | the line is dropped, counted |
-//! | `publish` | pitches | files, lines | (7) 64 lines | the line is dropped, counted |
+//! | `publish` | pitches | lines | (7) 64 lines | the line is dropped, counted |
+//! | | | pitches and tracks, for the files | (16) 256 | they are not in the files, logged as an error |
+//! | `keep` | (8), (16) | files | – | blocks alone: a disk that stands still delays no pitch |
 //! | `cap-<id>` | | frames, the same memory | (9) 64 frames | the frame is not recorded, counted |
 //! | `record` | (9), (11) | clips | (10) 4 clips, or 64 frames of a continuous recording | the clip or frame is lost, counted |
 //! | `disk` | (10) | session folders; `disk-end` ends the last one | – | blocks alone |
@@ -46,6 +48,7 @@ use super::calibrating;
 use super::clip_disk::ClipDisk;
 use super::foresee::{Foresee, InFlight};
 use super::health::CameraHealth;
+use super::keep;
 use super::looker::{self, SeenTrack};
 use super::outfit;
 use super::publish::{self, PublishHealth};
@@ -116,6 +119,7 @@ pub fn start(
     let (pitches_in, pitches) = bounded(64);
     let (versions_in, versions) = bounded(8);
     let (lines_in, lines) = bounded::<String>(64);
+    let (keep_in, kept) = bounded(256);
     let (estimates_in, estimates) = bounded::<String>(8);
     let (news_in, news) = bounded::<InFlight>(64);
     let (in_use_in, in_use) = bounded(4);
@@ -181,7 +185,7 @@ pub fn start(
 
     let assembler = Assembler {
         rig: rig.clone(),
-        numbers_before: publish::last_number(&config.results),
+        numbers_before: keep::last_number(&config.results),
         calibration: calibration.map(calibrating::from_file),
         plan: plan_of(config),
         health: health.clone(),
@@ -198,9 +202,13 @@ pub fn start(
         calibrating::calibrate(&rig, &requests, &answers_in);
     })?);
     threads.push(named("print".into(), move || publish::print(&lines, &estimates))?);
-    let (folder, publish_health) = (config.results.clone(), published.clone());
+    let publish_health = published.clone();
     threads.push(urgent(("publish".into(), solving), move || {
-        publish::publish(&folder, &pitches, &versions, (&lines_in, &publish_health));
+        publish::publish(&pitches, (&lines_in, &keep_in), &publish_health);
+    })?);
+    let folder = config.results.clone();
+    threads.push(named("keep".into(), move || {
+        keep::keep(&folder, &kept, &versions)
     })?);
     // Cameras last: everything downstream is ready for their first frame.
     for (name, supervisor) in captures {

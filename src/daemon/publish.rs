@@ -1,18 +1,15 @@
-//! The publisher's thread: each pitch as one line of JSON, to a file and to standard output; and the printer's.
+//! The publisher's thread: each pitch as one line of JSON, to the keeper and to standard output; and the printer's.
 
-use std::collections::BTreeMap;
-use std::fs::{File, OpenOptions};
 use std::io::Write;
-use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use crossbeam_channel::{Receiver, Sender, TrySendError};
 
 use super::assemble::Published;
 use super::histogram::{Histogram, seconds_since};
+use super::keep::KeptPitch;
 use crate::export::results;
-use crate::recording::{append_track, read_track_file};
-use crate::scene::{Calibration, CameraId, Outlook, Track};
+use crate::scene::Outlook;
 
 /// What was published and how late, for anyone to read.
 #[derive(Debug, Default)]
@@ -72,76 +69,20 @@ pub fn in_flight_line(outlook: &Outlook, flight: u32, calibration_version: u32) 
     serde_json::to_string(&line).ok().map(|text| text + "\n")
 }
 
-/// Writes pitches and calibrations until both end. A stalled reader of standard output costs only lines there (`lines` is
-/// a short queue to a thread of its own).
+/// Sends every pitch on as a line, until they end. Nothing here waits: not for a reader of standard output (`lines` is a
+/// short queue to a thread of its own), not for a disk (`keep` is one).
 pub fn publish(
-    folder: &Path,
     pitches: &Receiver<Published>,
-    versions: &Receiver<Calibration>,
-    (lines, health): (&Sender<String>, &PublishHealth),
+    (lines, keep): (&Sender<String>, &Sender<KeptPitch>),
+    health: &PublishHealth,
 ) {
-    let mut keeper = Keeper::new(folder);
-    loop {
-        crossbeam_channel::select! {
-            recv(pitches) -> published => match published {
-                Ok(published) => keeper.keep(&published, lines, health),
-                Err(_) => break,
-            },
-            recv(versions) -> calibration => {
-                if let Ok(calibration) = calibration {
-                    keeper.keep_calibration(&calibration);
-                }
-            }
-        }
-    }
-    for calibration in versions.try_iter() {
-        keeper.keep_calibration(&calibration);
-    }
-}
-
-/// Number of the last pitch in a results folder; 0 without one.
-pub fn last_number(folder: &Path) -> u32 {
-    let pitches = results::read_pitches(&folder.join("pitches.jsonl")).unwrap_or_default();
-    pitches.iter().map(|p| p.pitch).max().unwrap_or(0)
-}
-
-struct Keeper {
-    folder: PathBuf,
-    file: Option<File>,
-    /// Last track in each camera's file.
-    tracks: BTreeMap<CameraId, u32>,
-}
-
-impl Keeper {
-    fn new(folder: &Path) -> Self {
-        Self {
-            folder: folder.to_owned(),
-            file: None,
-            tracks: BTreeMap::new(),
-        }
-    }
-
-    /// The file is opened again after a failure: a disk may come back.
-    fn append(&mut self, line: &str) -> std::io::Result<()> {
-        let file = match &mut self.file {
-            Some(file) => file,
-            None => {
-                std::fs::create_dir_all(&self.folder)?;
-                let path = self.folder.join("pitches.jsonl");
-                self.file
-                    .insert(OpenOptions::new().create(true).append(true).open(path)?)
-            }
-        };
-        file.write_all(line.as_bytes())?;
-        file.sync_data()
-    }
-
-    fn keep(&mut self, published: &Published, lines: &Sender<String>, health: &PublishHealth) {
+    for published in pitches {
+        let number = published.pitch.pitch;
         let line = match results::jsonl(std::slice::from_ref(&published.pitch)) {
             Ok(line) => line,
             Err(error) => {
-                tracing::error!(%error, pitch = published.pitch.pitch, "not written");
-                return;
+                tracing::error!(%error, pitch = number, "not written");
+                continue;
             }
         };
         if let Err(TrySendError::Full(_)) = lines.try_send(line.clone()) {
@@ -154,50 +95,17 @@ impl Keeper {
         }
         health.pitches.fetch_add(1, Ordering::Relaxed);
         tracing::info!(
-            pitch = published.pitch.pitch,
+            pitch = number,
             speed_mps = published.pitch.release_speed_mps,
             since_last_frame_ms = needed_s.map(|s| 1e3 * s),
             "pitch"
         );
-        if let Err(error) = self.append(&line) {
-            tracing::error!(%error, folder = %self.folder.display(), "pitches.jsonl was not written");
-            self.file = None;
-        }
-        for track in &published.tracks {
-            self.append_track(track);
-        }
-    }
-
-    /// Numbers go on where an earlier run stopped.
-    fn append_track(&mut self, track: &Track) {
-        let folder = self.folder.join("tracks");
-        let last = self.tracks.entry(track.camera.clone()).or_insert_with(|| {
-            let path = folder.join(format!("{}.csv", track.camera));
-            let before = read_track_file(&path, &track.camera).unwrap_or_default();
-            before.iter().map(|t| t.track).max().unwrap_or(0)
-        });
-        *last += 1;
-        let numbered = Track {
-            track: *last,
-            ..track.clone()
+        let kept = KeptPitch {
+            line,
+            tracks: published.tracks,
         };
-        if let Err(error) = append_track(&folder, &numbered) {
-            tracing::error!(%error, "a track was not written");
-        }
-    }
-
-    fn keep_calibration(&self, calibration: &Calibration) {
-        let path = self.folder.join("calibration.json");
-        let text = serde_json::to_string_pretty(calibration).map_err(|e| e.to_string());
-        let written = text.and_then(|text| {
-            std::fs::create_dir_all(&self.folder).map_err(|e| e.to_string())?;
-            results::replace(&path, &text).map_err(|e| e.to_string())
-        });
-        if let Err(error) = written {
-            tracing::error!(
-                "calibration version {} was not kept: {error}",
-                calibration.version
-            );
+        if keep.try_send(kept).is_err() {
+            tracing::error!(pitch = number, "not in pitches.jsonl: the disk is far behind");
         }
     }
 }
