@@ -269,15 +269,10 @@ impl Assembler {
         }
     }
 
+    /// Of every camera the epoch of its newest track: one that follows the network's clock again is in an earlier one.
     fn current_epochs(desk: &Desk) -> Epochs {
-        let mut epochs = Epochs::new();
-        for seen in desk.window.iter().flat_map(Ball::tracks) {
-            let newest = epochs
-                .entry(seen.track.camera.clone())
-                .or_insert(seen.clock_epoch);
-            *newest = seen.clock_epoch.max(*newest);
-        }
-        epochs
+        let seen = desk.window.iter().flat_map(Ball::tracks);
+        seen.map(|t| (t.track.camera.clone(), t.clock_epoch)).collect()
     }
 
     /// Asks for a calibration when there is none, when it has aged, or when a camera's clock began anew.

@@ -59,6 +59,7 @@ use crate::capture::aravis::{CameraAddress, LiveOptions, PacketPath, Ptp, make_t
 use crate::config::{CameraConnection, DaemonConfig, RecordConfig, RecordMode};
 use crate::eye::EyeConfig;
 use crate::scene::{Calibration, Rig};
+use crate::time::PtpDomain;
 
 /// Why the daemon cannot start.
 #[derive(Debug, thiserror::Error)]
@@ -131,9 +132,13 @@ pub fn start(
     let mut record_configs = Vec::new();
     let record = start_recorder(config, &recorder, (&mut threads, &mut record_configs))?;
     let mut health = Vec::new();
+    let network = PtpDomain::default();
     let (mut captures, mut trackers) = (Vec::new(), BTreeMap::new());
     for connection in &config.cameras {
-        let options = live_options(config, connection, &rig)?;
+        let mut options = live_options(config, connection, &rig)?;
+        if let Ptp::WhereAvailable(domain) = &mut options.ptp {
+            *domain = network.clone();
+        }
         let own = Arc::new(CameraHealth::new(connection.id.clone()));
         // The rest of the pool is for the receive thread and the eye's own history.
         let (frames_in, frames) = bounded((connection.buffers * 3 / 4).max(4));
@@ -416,7 +421,7 @@ pub fn live_options(
         buffers: ready + frames_recorded(config, setup.width_px as usize * setup.height_px as usize),
         realtime_priority: (connection.realtime_priority > 0).then_some(connection.realtime_priority),
         ptp: if connection.ptp {
-            Ptp::WhereAvailable
+            Ptp::WhereAvailable(PtpDomain::default())
         } else {
             Ptp::Off
         },

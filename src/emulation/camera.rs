@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Sender as Channel, bounded, unbounded};
 use socket2::{Domain, Protocol, Socket, Type};
 
+use super::clock::DeviceClock;
 use super::control;
 use super::faults::{Drill, Faults};
 use super::gvcp::GVCP_PORT;
@@ -110,36 +111,6 @@ pub(super) struct Counting {
     pub packets: AtomicU64,
     pub lost: AtomicU64,
     pub resent: AtomicU64,
-}
-
-/// The camera's own clock.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct DeviceClock {
-    since: Instant,
-    since_ns: f64,
-    rate: f64,
-}
-
-impl DeviceClock {
-    fn new(now: Instant, offset_s: f64, skew_ppm: f64) -> Self {
-        Self {
-            since: now,
-            since_ns: 1e9 * offset_s,
-            rate: 1.0 + 1e-6 * skew_ppm,
-        }
-    }
-    pub fn ticks(&self, at: Instant) -> u64 {
-        let ahead = at.saturating_duration_since(self.since).as_nanos() as f64;
-        let behind = self.since.saturating_duration_since(at).as_nanos() as f64;
-        (self.since_ns + self.rate * (ahead - behind)).max(0.0) as u64
-    }
-    fn stepped(self, now: Instant, by_s: f64, skew_ppm: f64) -> Self {
-        Self {
-            since: now,
-            since_ns: self.ticks(now) as f64 + 1e9 * by_s,
-            rate: 1.0 + 1e-6 * skew_ppm,
-        }
-    }
 }
 
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

@@ -10,7 +10,7 @@ use rand_pcg::Pcg64;
 use super::camera::{PATIENCE, Shared, lock};
 use super::gvcp::{Answer, Command, Refusal, Request};
 use super::mangle::spoil_answer;
-use super::registers::{Effect, HEARTBEAT_MS, PRIVILEGE, RegisterBank, TIMESTAMP_HIGH};
+use super::registers::{Effect, HEARTBEAT_MS, PRIVILEGE, PTP_STATUS, RegisterBank, TIMESTAMP_HIGH};
 use super::sender::Order;
 
 /// The program that holds the camera.
@@ -167,6 +167,16 @@ fn act(shared: &Shared, bank: &mut RegisterBank, effect: Effect, orders: &Channe
         }
         Effect::ResetTimestamp => {
             shared.reset_clock();
+            return;
+        }
+        Effect::FollowPtp(follow) => {
+            let apart_s = lock(&shared.faults).ptp_apart_s;
+            lock(&shared.clock).follow(Instant::now(), follow.then_some(apart_s));
+            return;
+        }
+        Effect::LatchPtp => {
+            let state = lock(&shared.clock).ptp_state(Instant::now());
+            bank.set32(PTP_STATUS, state as u32);
             return;
         }
         Effect::Reboot => {

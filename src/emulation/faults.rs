@@ -19,6 +19,8 @@ pub struct Faults {
     pub clock_offset_s: f64,
     /// Device clock over the host's, parts per million; positive: fast.
     pub skew_ppm: f64,
+    /// Network clock (PTP) that the camera follows over the one of this host's other cameras, seconds.
+    pub ptp_apart_s: f64,
     /// Share of stream packets that are spoilt.
     pub mangle: f64,
     /// In which way.
@@ -49,8 +51,8 @@ pub enum Drill {
 #[error("{0:?}: {1}")]
 pub struct FaultError(pub String, pub &'static str);
 
-const KEYS: &str = "use loss, reorder, reorder_ms, jitter_ms, clock_offset_s, skew_ppm, mangle, mangling, mangle_control, \
-                    as in loss=0.01,skew_ppm=50";
+const KEYS: &str = "use loss, reorder, reorder_ms, jitter_ms, clock_offset_s, skew_ppm, ptp_apart_s, mangle, mangling, \
+                    mangle_control, as in loss=0.01,skew_ppm=50";
 const MANGLINGS: &str =
     "use any, noise, cut, long, number, block, kind, status, leader, shape, payload, trailer or bits";
 const WORDS: &str = "use freeze S, disconnect S, reboot S, clock S, faults KEY=VALUE,…, loss P, reorder_ms MS, jitter_ms MS or quit";
@@ -79,6 +81,7 @@ impl Faults {
                 "jitter_ms" => (&mut self.jitter_ms, (0.0, 1000.0)),
                 "clock_offset_s" => (&mut self.clock_offset_s, (0.0, 4e9)),
                 "skew_ppm" => (&mut self.skew_ppm, (-1000.0, 1000.0)),
+                "ptp_apart_s" => (&mut self.ptp_apart_s, (-1e6, 1e6)),
                 "mangle" => (&mut self.mangle, (0.0, 1.0)),
                 "mangle_control" => (&mut self.mangle_control, (0.0, 1.0)),
                 _ => return Err(fault(KEYS)),

@@ -2,12 +2,13 @@
 
 use std::fmt::Write;
 
+use super::clock::PtpState;
 use super::gvsp::PIXEL_FORMAT_MONO8;
 use super::registers::{
     ACQUISITION, ACQUISITION_MODE, DEVICE_RESET, EXPOSURE_US, GAIN_DB, HEARTBEAT_MS, HEIGHT, Identity,
-    LINK_MBPS, MODEL, OFFSET_X, OFFSET_Y, PACKET_DELAY, PACKET_SIZE, PAYLOAD_BYTES, PIXEL_FORMAT, RATE,
-    SENSOR_HEIGHT, SENSOR_WIDTH, STREAM_ADDRESS, STREAM_PORT, STREAM_SOURCE_PORT, TICK_HIGH,
-    TIMESTAMP_CONTROL, TIMESTAMP_HIGH, TRIGGER_MODE, VENDOR, WIDTH,
+    LINK_MBPS, MODEL, OFFSET_X, OFFSET_Y, PACKET_DELAY, PACKET_SIZE, PAYLOAD_BYTES, PIXEL_FORMAT, PTP_ENABLE,
+    PTP_LATCH, PTP_STATUS, RATE, SENSOR_HEIGHT, SENSOR_WIDTH, STREAM_ADDRESS, STREAM_PORT,
+    STREAM_SOURCE_PORT, TICK_HIGH, TIMESTAMP_CONTROL, TIMESTAMP_HIGH, TRIGGER_MODE, VENDOR, WIDTH,
 };
 
 const CATEGORIES: &[(&str, &[&str])] = &[
@@ -22,6 +23,9 @@ const CATEGORIES: &[(&str, &[&str])] = &[
             "DeviceUserID",
             "DeviceLinkSpeed",
             "DeviceReset",
+            "PtpEnable",
+            "PtpDataSetLatch",
+            "PtpStatus",
         ],
     ),
     (
@@ -188,6 +192,14 @@ fn device_features(xml: &mut Xml) {
     xml.integer("DeviceLinkSpeed", LINK_MBPS, "RO", "");
     xml.int_register("DeviceResetReg", DEVICE_RESET, 4, "RW");
     xml.command("DeviceReset", "DeviceResetReg", 1);
+    xml.int_register("PtpEnableReg", PTP_ENABLE, 4, "RW");
+    xml.line(format_args!(
+        "<Boolean Name=\"PtpEnable\"><pValue>PtpEnableReg</pValue><OnValue>1</OnValue><OffValue>0</OffValue></Boolean>"
+    ));
+    xml.int_register("PtpDataSetLatchReg", PTP_LATCH, 4, "RW");
+    xml.command("PtpDataSetLatch", "PtpDataSetLatchReg", 1);
+    xml.int_register("PtpStatusReg", PTP_STATUS, 4, "RO");
+    xml.choice("PtpStatus", "PtpStatusReg", &PtpState::ENTRIES);
 }
 
 fn image_features(xml: &mut Xml, identity: &Identity) {
@@ -283,7 +295,16 @@ mod tests {
         let mut defined = BTreeSet::new();
         for part in text.split(" Name=\"").skip(1) {
             let name = part.split('"').next().unwrap();
-            let entry = ["Mono8", "Continuous", "Off", "FrameStart"].contains(&name);
+            let entry = [
+                "Mono8",
+                "Continuous",
+                "Off",
+                "FrameStart",
+                "Disabled",
+                "Uncalibrated",
+                "Slave",
+            ]
+            .contains(&name);
             assert!(entry || defined.insert(name), "{name} is defined twice");
         }
         let mut used = 0;

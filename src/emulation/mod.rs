@@ -11,6 +11,7 @@
 //! group to the kernel as one UDP GSO message, paced to the speed of the link it stands for.
 
 mod camera;
+mod clock;
 mod control;
 mod faults;
 mod genicam;

@@ -91,7 +91,10 @@ pub(super) const SENSOR_WIDTH: u32 = FEATURES + 0x3c;
 pub(super) const SENSOR_HEIGHT: u32 = FEATURES + 0x40;
 pub(super) const LINK_MBPS: u32 = FEATURES + 0x44;
 pub(super) const DEVICE_RESET: u32 = FEATURES + 0x48;
-const FEATURE_BYTES: usize = 0x50;
+pub(super) const PTP_ENABLE: u32 = FEATURES + 0x4c;
+pub(super) const PTP_LATCH: u32 = FEATURES + 0x50;
+pub(super) const PTP_STATUS: u32 = FEATURES + 0x54;
+const FEATURE_BYTES: usize = 0x58;
 
 /// Behind everything else: a description may have any size.
 const XML: u32 = 0x0100_0000;
@@ -115,6 +118,10 @@ pub enum Effect {
     LatchTimestamp,
     /// The device clock starts at zero.
     ResetTimestamp,
+    /// The clock follows the network's from now on, or no longer.
+    FollowPtp(bool),
+    /// Where it stands with the network's clock is to be latched into its register.
+    LatchPtp,
     /// The camera restarts.
     Reboot,
 }
@@ -332,6 +339,9 @@ impl RegisterBank {
             ACQUISITION if value == 1 => Effect::Start,
             ACQUISITION => Effect::Stop,
             DEVICE_RESET => return Ok(Effect::Reboot),
+            PTP_ENABLE if value <= 1 => Effect::FollowPtp(value == 1),
+            PTP_ENABLE => return Err(Refusal::InvalidParameter),
+            PTP_LATCH => return Ok(Effect::LatchPtp),
             _ if self.read(address, 4).is_ok() => return Err(Refusal::WriteProtect),
             _ => return Err(Refusal::InvalidAddress),
         };

@@ -95,9 +95,9 @@ pub struct ClockReading {
 pub struct ClockLine {
     /// Device time of the frame that this came with, wraps of the counter undone, nanoseconds.
     pub device_ns: i64,
-    midpoint_ns: i64,
+    pub(super) midpoint_ns: i64,
     /// Host seconds over device seconds, less one.
-    rate: f64,
+    pub(super) rate: f64,
 }
 
 impl ClockLine {

@@ -12,9 +12,11 @@
 mod clock_model;
 mod host_clock;
 mod lateness;
+mod ptp;
 
 pub use clock_model::{ClockEvent, ClockLine, ClockModel, ClockModelOptions, ClockReading};
 pub use host_clock::{HostClock, SystemClock};
+pub use ptp::{PtpDomain, PtpReading};
 
 use serde::{Deserialize, Serialize};
 

@@ -17,6 +17,7 @@ use super::open;
 use super::options::LiveOptions;
 use super::pool::BufferMaker;
 use super::probe;
+use super::ptp::PtpFollower;
 use crate::scene::{Frame, FrameStamp};
 use crate::time::{
     ArrivalTime, ClockEvent, ClockLine, ClockModel, ClockModelOptions, ClockReading, DeviceTime, HostClock,
@@ -126,6 +127,7 @@ pub struct LiveCamera {
     exposure_s: f64,
     packet_size: u32,
     model: String,
+    ptp: Option<PtpFollower>,
     /// The library's own counters when the stream began, so that ours go on over reconnections.
     underruns_seen: u64,
     resends_seen: u64,
@@ -151,6 +153,7 @@ impl LiveCamera {
             exposure_s: opened.exposure_s,
             packet_size: opened.packet_size,
             model: opened.model,
+            ptp: opened.ptp,
             underruns_seen: 0,
             resends_seen: 0,
         };
@@ -292,7 +295,10 @@ impl LiveCamera {
         arrival: ArrivalTime,
     ) -> (FrameStamp, ClockReading, u64) {
         let device = DeviceTime::from_nanos(i64::try_from(device_ns).unwrap_or(i64::MAX));
-        let reading = memory.clock.push(device, arrival, self.exposure_s);
+        let mut reading = memory.clock.push(device, arrival, self.exposure_s);
+        if let Some(ptp) = &mut self.ptp {
+            reading = ptp.stamp(&self.camera, reading, self.exposure_s);
+        }
         // After a reconnection the numbers go on as if the camera had never stopped.
         if memory.numbers.is_first()
             && let Some(last) = memory.last_stamp

@@ -23,6 +23,7 @@ mod open;
 mod options;
 mod pool;
 mod probe;
+mod ptp;
 
 pub use camera::{CameraMemory, LiveCamera, LiveCounters, LiveFrame, Next, granted_socket_buffer};
 pub use description::DescriptionError;

@@ -9,8 +9,9 @@ use aravis::{Camera, GvStreamOption, GvStreamPacketResend, GvStreamSocketBuffer,
 use super::error::LiveError;
 use super::ffi::RawStream;
 use super::guard;
-use super::options::{LiveOptions, PacketPath, Ptp};
+use super::options::{LiveOptions, PacketPath};
 use super::probe;
+use super::ptp::PtpFollower;
 
 /// How long a camera may take to answer a ping.
 const PING: Duration = Duration::from_millis(100);
@@ -127,6 +128,7 @@ pub struct Opened {
     pub exposure_s: f64,
     pub packet_size: u32,
     pub model: String,
+    pub ptp: Option<PtpFollower>,
 }
 
 /// Opens and sets up the camera at an address (which must have answered a ping).
@@ -148,10 +150,7 @@ pub fn open(options: &LiveOptions, address: Ipv4Addr) -> Result<Opened, LiveErro
     shorten_heartbeat(options, &camera);
     set_image(options, &camera)?;
     let exposure_s = set_timing(options, &camera)?;
-    if options.ptp == Ptp::WhereAvailable && camera.is_feature_available("PtpEnable").unwrap_or(false) {
-        let refused = setting(options, "PtpEnable", true);
-        camera.set_boolean("PtpEnable", true).map_err(refused)?;
-    }
+    let ptp = PtpFollower::start(options, &camera)?;
     let payload_bytes = sane_payload(
         options,
         camera.payload().map_err(failed("read PayloadSize"))? as usize,
@@ -178,6 +177,7 @@ pub fn open(options: &LiveOptions, address: Ipv4Addr) -> Result<Opened, LiveErro
         payload_bytes,
         exposure_s,
         packet_size,
+        ptp,
     })
 }
 

@@ -3,6 +3,7 @@
 use std::net::Ipv4Addr;
 
 use crate::scene::CameraId;
+use crate::time::PtpDomain;
 
 /// What tells a camera from all others. At least one must be given; all that are given must hold.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -36,13 +37,13 @@ pub enum PacketPath {
 }
 
 /// Whether the camera's clock follows the network's.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub enum Ptp {
     /// Free-running.
     #[default]
     Off,
-    /// PTP, where the camera has it.
-    WhereAvailable,
+    /// PTP, where the camera has it; cameras of one domain are stamped on one scale.
+    WhereAvailable(PtpDomain),
 }
 
 /// How to open one live camera.
