@@ -2,12 +2,15 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may")]
 
+mod lab;
+
 use std::io::Read;
 use std::net::Ipv4Addr;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
+use lab::Reaped;
 use pitchd::emulation::{Drill, Emulator, EmulatorOptions, ScriptShape, pattern};
 
 const SHAPE: ScriptShape = ScriptShape {
@@ -42,6 +45,13 @@ fn rig(folder: &Path, cameras: &[(&str, u8)]) {
         format!("rig = \"rig.toml\"\nresults = \"results\"\n{config}"),
     )
     .unwrap();
+}
+
+fn record_continuously(folder: &Path) {
+    let config = std::fs::read_to_string(folder.join("pitchd.toml")).unwrap();
+    let record = "[record]\nmode = \"continuous\"\nfolder = \"recordings\"\nmemory_mib = 64\n";
+    let (head, cameras) = config.split_at(config.find("[[camera]]").unwrap());
+    std::fs::write(folder.join("pitchd.toml"), format!("{head}{record}{cameras}")).unwrap();
 }
 
 fn start(folder: &Path) -> Child {
@@ -132,6 +142,53 @@ fn the_daemon_outlives_its_cameras_and_ends_with_zero() {
     assert_eq!(out, "", "no ball, no pitch");
 }
 
+/// A camera that stands still when the daemon is told to end is not waited for, and what it sent before is kept.
+#[test]
+fn a_frozen_camera_holds_up_no_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    rig(folder, &[("first", 31), ("third", 32)]);
+    record_continuously(folder);
+    let _first = emulator(31, "S1");
+    let frozen = Command::new(env!("CARGO_BIN_EXE_pitchd"))
+        .args(["emulate", "pattern:320x160", "--rate", "40", "--camera", "third"])
+        .args(["--address", "127.0.93.32"])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .spawn();
+    let mut frozen = Reaped(frozen.unwrap());
+    let mut daemon = start(folder);
+    wait_for(folder, 0, &["first Streaming", "third Streaming"]);
+    std::thread::sleep(Duration::from_secs(1));
+    let status = std::fs::read_to_string(format!("/proc/{}/status", daemon.id())).unwrap();
+    assert!(lab::is_locked_or_said(&status, &log(folder)), "{status}");
+    signal(&frozen.0, "-STOP");
+    signal(&daemon, "-TERM");
+    let told = Instant::now();
+    let status = daemon.wait().unwrap();
+    let took_s = told.elapsed().as_secs_f64();
+    println!("ended {took_s:.2} s after SIGTERM");
+    frozen.0.kill().unwrap();
+    let log = log(folder);
+    assert!(status.success() && took_s < 12.0, "{took_s} s:\n{log}");
+    assert!(log.contains("does not answer"), "{log}");
+    assert!(!log.contains("still at work"), "{log}");
+    let session = std::fs::read_dir(folder.join("recordings")).unwrap().next();
+    let session = session.unwrap().unwrap().path();
+    let whole = pitchd(&["info", session.to_str().unwrap(), "--verify"]);
+    assert!(
+        whole.status.success(),
+        "{}",
+        String::from_utf8_lossy(&whole.stderr)
+    );
+    let reader = pitchd::recording::SessionReader::open(&session).unwrap();
+    for id in ["first", "third"] {
+        let frames = reader.frames(&pitchd::scene::CameraId::new(id).unwrap()).unwrap();
+        let frames = frames.count();
+        assert!(frames >= 30, "{id}: {frames} frames");
+    }
+}
+
 fn pitchd(arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_pitchd"))
         .args(arguments)
@@ -185,10 +242,7 @@ fn a_killed_daemons_recording_is_whole_up_to_its_last_second() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
     rig(folder, &[("first", 21), ("third", 22)]);
-    let config = std::fs::read_to_string(folder.join("pitchd.toml")).unwrap();
-    let record = "[record]\nmode = \"continuous\"\nfolder = \"recordings\"\nmemory_mib = 64\n";
-    let (head, cameras) = config.split_at(config.find("[[camera]]").unwrap());
-    std::fs::write(folder.join("pitchd.toml"), format!("{head}{record}{cameras}")).unwrap();
+    record_continuously(folder);
     let _cameras = (emulator(21, "K1"), emulator(22, "K2"));
     let mut daemon = start(folder);
     let recorded = |folder: &Path| {

@@ -206,6 +206,7 @@ fn the_unit_runs_under_a_real_systemd() {
         status.contains("NoNewPrivs:\t1") && status.contains("Seccomp:\t2"),
         "{status}"
     );
+    assert!(lab::is_locked_or_said(&status, &log()), "{status}\n{}", log());
 
     // Reload by the unit's own command.
     booted.does(&[

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use crate::capture::aravis::{self, Found, ListedDevice};
 
-/// List GigE Vision and USB3 Vision cameras (`run` opens GigE Vision only).
+/// List GigE Vision and USB3 Vision cameras.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Examples:
@@ -82,10 +82,7 @@ pub fn run(args: &CamerasArgs) -> anyhow::Result<()> {
                 .into_iter()
                 .map(Row::from),
         );
-        let usb = aravis::list_devices()
-            .into_iter()
-            .filter(|d| d.protocol != "GigEVision");
-        rows.extend(usb.map(Row::from));
+        rows.extend(aravis::list_near_devices().into_iter().map(Row::from));
     } else {
         let patience = Duration::from_millis(300);
         rows.extend(

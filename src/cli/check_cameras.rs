@@ -112,7 +112,7 @@ fn watch(mut live: LiveCamera, memory: &mut CameraMemory, (what, asked_hz): (&st
     let place = format!(
         "{} at {}, packets of {} bytes",
         live.model(),
-        live.address(),
+        live.place(),
         live.packet_size()
     );
     live.stop();

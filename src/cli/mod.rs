@@ -48,7 +48,7 @@ pub struct Cli {
 /// Every subcommand.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// List GigE Vision and USB3 Vision cameras (`run` opens GigE Vision only).
+    /// List GigE Vision and USB3 Vision cameras.
     Cameras(cameras::CamerasArgs),
     /// Check host, cameras and configuration; each line says what mends it.
     Check(check::CheckArgs),

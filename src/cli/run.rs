@@ -9,9 +9,9 @@ use sd_notify::NotifyState;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
-use crate::capture::aravis::granted_socket_buffer;
 use crate::config::{DaemonConfig, RecordMode, load_daemon, load_rig};
 use crate::daemon::health::CameraState;
+use crate::daemon::memory_lock::lock_memory;
 use crate::daemon::pipeline::{self, Daemon, NotTaken};
 use crate::export::results::read_calibration;
 use crate::scene::{Calibration, WorldFrame};
@@ -47,7 +47,9 @@ pub fn run(args: &RunArgs) -> anyhow::Result<()> {
     let mut config = load_daemon(&args.config)?;
     let rig = load_rig(&config.rig)?;
     let calibration = first_calibration(&config)?;
-    warn_of_small_buffers(&config);
+    if let Err(error) = lock_memory() {
+        tracing::warn!("{error}");
+    }
     let mut signals = Signals::new([SIGTERM, SIGINT, SIGHUP]).context("signal handlers")?;
     let daemon = pipeline::start(&config, rig, calibration)?;
     notify(&[NotifyState::Ready]);
@@ -71,22 +73,6 @@ pub fn run(args: &RunArgs) -> anyhow::Result<()> {
 fn notify(states: &[NotifyState<'_>]) {
     if let Err(error) = sd_notify::notify(states) {
         tracing::debug!(%error, "systemd was not told");
-    }
-}
-
-fn warn_of_small_buffers(config: &DaemonConfig) {
-    let asked = config
-        .cameras
-        .iter()
-        .map(|c| c.socket_buffer_bytes)
-        .max()
-        .unwrap_or(0);
-    if let Ok(granted) = granted_socket_buffer(asked)
-        && granted < asked
-    {
-        tracing::warn!(
-            "socket buffers of {granted} bytes, {asked} were asked for: sysctl -w net.core.rmem_max={asked}"
-        );
     }
 }
 

@@ -35,6 +35,8 @@ pub struct CameraConnection {
     pub packet_socket: bool,
     /// PTP where the camera has it.
     pub ptp: bool,
+    /// Several USB transfers at once, instead of one after the other.
+    pub usb_async: bool,
 }
 
 /// What is recorded.
@@ -232,6 +234,16 @@ struct CameraFile {
     packet_socket: bool,
     #[serde(default)]
     ptp: bool,
+    #[serde(default)]
+    usb_mode: UsbTransfers,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum UsbTransfers {
+    #[default]
+    Sync,
+    Async,
 }
 
 /// Reads and checks a daemon file.
@@ -304,6 +316,7 @@ pub fn parse_daemon(path: &Path, text: &str) -> Result<DaemonConfig, ConfigError
             realtime_priority: camera.realtime_priority.unwrap_or(20).min(90),
             packet_socket: camera.packet_socket,
             ptp: camera.ptp,
+            usb_async: camera.usb_mode == UsbTransfers::Async,
         });
     }
     if cameras.is_empty() {
@@ -350,6 +363,21 @@ mod tests {
             (config.first_pitches, config.cameras[0].socket_buffer_bytes),
             (4, 32 << 20)
         );
+    }
+
+    #[test]
+    fn how_usb_frames_are_fetched_is_a_choice() {
+        let path = Path::new("p.toml");
+        let mode = |mode: &str| {
+            parse_daemon(
+                path,
+                &GOOD.replace("\"A7\"", &format!("\"A7\"\nusb_mode = {mode}")),
+            )
+        };
+        assert!(!parse_daemon(path, GOOD).unwrap().cameras[1].usb_async);
+        assert!(mode("\"async\"").unwrap().cameras[1].usb_async);
+        assert!(!mode("\"sync\"").unwrap().cameras[1].usb_async);
+        assert!(mode("\"fast\"").unwrap_err().to_string().contains("p.toml:8: "));
     }
 
     #[test]

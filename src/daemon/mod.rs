@@ -10,6 +10,7 @@ pub mod health;
 pub mod histogram;
 pub mod keep;
 pub mod looker;
+pub mod memory_lock;
 pub mod outfit;
 pub mod pipeline;
 pub mod publish;

@@ -34,12 +34,14 @@
 //! | `print` | lines | standard output | – | blocks alone |
 //!
 //! No thread that handles frames ever waits for one that fits or solves. Stopping is closing: capture threads stop, each
-//! closes its queue, and the end travels downstream in the order frames do; a pitch in flight is finished on the way.
+//! closes its queue, and the end travels downstream in the order frames do; a pitch in flight is finished on the way. What
+//! a silent camera would hold up is done on threads that nobody waits for: `open-<id>` opens, `camera-teardown` lets go.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Sender, bounded};
 
@@ -55,7 +57,9 @@ use super::publish::{self, PublishHealth};
 use super::recorder::{ClipTrigger, RecordedLive, Recorder, RecorderHealth};
 use super::supervise::Supervisor;
 use super::watcher::{self, EyeChannels, LOOK_QUEUE};
-use crate::capture::aravis::{CameraAddress, LiveOptions, PacketPath, Ptp, make_this_thread_realtime};
+use crate::capture::aravis::{
+    CameraAddress, LiveOptions, PacketPath, Ptp, UsbMode, make_this_thread_realtime,
+};
 use crate::config::{CameraConnection, DaemonConfig, RecordConfig, RecordMode};
 use crate::eye::EyeConfig;
 use crate::scene::{Calibration, Rig};
@@ -275,17 +279,39 @@ impl Daemon {
         self.stop.store(true, Ordering::Relaxed);
     }
 
-    /// Stops and waits for the last pitch.
-    pub fn finish(self) {
+    /// Stops and waits for the last pitch, at most [`STOP_MOST`] for all threads together. What is still at work then (a
+    /// disk that stands still) is named and left to the process's end; answers how many there are.
+    pub fn finish(self) -> usize {
         self.request_stop();
-        for thread in self.threads {
-            // `print` may be blocked by a reader that stands still: it is left to the process's end.
-            if thread.thread().name() != Some("print") && thread.join().is_err() {
-                tracing::error!("a thread ended by a panic");
+        let until = Instant::now() + STOP_MOST;
+        // `print` may be blocked by a reader that stands still; `calibrate` works for `assemble`, which waits for it as
+        // long as that makes sense.
+        let waited_for =
+            |thread: &JoinHandle<()>| !matches!(thread.thread().name(), Some("print" | "calibrate"));
+        let mut at_work: Vec<_> = self.threads.into_iter().filter(waited_for).collect();
+        loop {
+            let (ended, rest): (Vec<_>, Vec<_>) = at_work.into_iter().partition(JoinHandle::is_finished);
+            at_work = rest;
+            for thread in ended {
+                if thread.join().is_err() {
+                    tracing::error!("a thread ended by a panic");
+                }
             }
+            if at_work.is_empty() || Instant::now() >= until {
+                break;
+            }
+            std::thread::sleep(Duration::from_millis(5));
         }
+        for thread in &at_work {
+            let name = thread.thread().name().unwrap_or_default();
+            tracing::error!("`{name}` is still at work after {STOP_MOST:?}: what it does is cut off");
+        }
+        at_work.len()
     }
 }
+
+/// With the longest flight before it, below the unit's `TimeoutStopSec` of 30 s: the assembler gives a calibration 20 s.
+const STOP_MOST: Duration = Duration::from_secs(25);
 
 fn plan_of(config: &DaemonConfig) -> CalibrationPlan {
     CalibrationPlan {
@@ -415,6 +441,11 @@ pub fn live_options(
             PacketPath::PacketSocket
         } else {
             PacketPath::UdpSocket
+        },
+        usb_mode: if connection.usb_async {
+            UsbMode::Async
+        } else {
+            UsbMode::Sync
         },
         socket_buffer_bytes: connection.socket_buffer_bytes,
         buffers_ready: ready,

@@ -6,17 +6,20 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use crossbeam_channel::{Sender, TrySendError};
+use crossbeam_channel::{RecvTimeoutError, Sender, TrySendError, bounded};
 
 use super::health::{CameraHealth, CameraState};
 use super::recorder::{RecordedLive, RecorderHealth};
-use crate::capture::aravis::{CameraMemory, LiveCamera, LiveError, LiveFrame, LiveOptions, Next};
+use crate::capture::aravis::{
+    CameraMemory, LiveCamera, LiveError, LiveFrame, LiveOptions, Next, Place, ReadyCamera,
+};
 use crate::time::SystemClock;
 
 /// Longest wait for one frame before looking around.
 const LOOK_AROUND: Duration = Duration::from_millis(100);
-/// Silence after which the camera is asked whether it is alive; the answer takes up to 0.3 s more.
-const SILENCE: Duration = Duration::from_millis(600);
+/// Silence after which the camera is asked whether it is alive. The look comes up to 0.1 s later, the answer takes up to
+/// 0.3 s: a loss is told of within a second.
+const SILENCE: Duration = Duration::from_millis(500);
 /// Frames without a whole one among them for this long are a fault to be told of.
 const NONE_WHOLE: Duration = Duration::from_secs(2);
 /// A camera that answers but sends nothing for this long is opened anew.
@@ -50,16 +53,21 @@ impl Supervisor {
         let mut memory = CameraMemory::default();
         let mut backoff = BACKOFF_FIRST;
         let mut said = String::new();
+        let mut warned = false;
         while !self.stopped() {
             if self.health.state() != CameraState::Absent {
                 self.health.set_state(CameraState::Connecting);
             }
-            match LiveCamera::start(&self.options, &mut memory) {
+            let Some(connected) = self.connect(&mut memory) else {
+                return;
+            };
+            match connected {
                 Ok(camera) => {
                     tracing::info!(
-                        camera = %self.options.camera, address = %camera.address(), model = camera.model(),
+                        camera = %self.options.camera, address = %camera.place(), model = camera.model(),
                         packet_size = camera.packet_size(), "streaming"
                     );
+                    self.warn_of_small_buffer(&camera, &mut warned);
                     (backoff, said) = (BACKOFF_FIRST, String::new());
                     if matches!(self.stream(camera, &mut memory), End::Stopped) {
                         return;
@@ -90,6 +98,50 @@ impl Supervisor {
         }
     }
 
+    /// Opens the camera on a thread of its own: one that falls silent meanwhile holds that thread for ten seconds, and
+    /// not the end of the daemon. `None`: told to stop.
+    fn connect(&self, memory: &mut CameraMemory) -> Option<Result<LiveCamera, LiveError>> {
+        let failed = |reason: String| LiveError::Library {
+            camera: self.options.camera.clone(),
+            doing: "open it on a thread of its own",
+            reason,
+        };
+        let (ready_in, ready) = bounded(1);
+        let options = self.options.clone();
+        let name = format!("open-{}", options.camera);
+        // Whoever waited may have gone: then the camera is let go of here.
+        let open = move || drop(ready_in.send(ReadyCamera::open(&options)));
+        if let Err(error) = std::thread::Builder::new().name(name).spawn(open) {
+            return Some(Err(failed(error.to_string())));
+        }
+        loop {
+            match ready.recv_timeout(LOOK_AROUND) {
+                Ok(opened) => {
+                    return Some(opened.and_then(|r| LiveCamera::begin(r, &self.options, memory)));
+                }
+                Err(RecvTimeoutError::Timeout) if self.stopped() => return None,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => {
+                    return Some(Err(failed("the thread ended early".to_owned())));
+                }
+            }
+        }
+    }
+
+    /// Once, not with every connection.
+    fn warn_of_small_buffer(&self, camera: &LiveCamera, warned: &mut bool) {
+        let asked = self.options.socket_buffer_bytes;
+        if let Some(granted) = camera.small_socket_buffer()
+            && !std::mem::replace(warned, true)
+        {
+            tracing::warn!(
+                camera = %self.options.camera,
+                "its socket has a buffer of {granted} bytes, {asked} were asked for: a busy host will lose frames; \
+                 sysctl -w net.core.rmem_max={asked}"
+            );
+        }
+    }
+
     fn stopped(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
@@ -106,7 +158,9 @@ impl Supervisor {
         let (mut asked, mut whole) = (heard, heard);
         loop {
             if self.stopped() {
-                camera.stop();
+                if !camera.stop() {
+                    tracing::warn!(camera = %self.options.camera, "does not answer: it is left as it is");
+                }
                 return End::Stopped;
             }
             match camera.next(memory, &SystemClock, LOOK_AROUND) {
@@ -134,7 +188,8 @@ impl Supervisor {
                         return End::Lost;
                     }
                     if self.health.set_state(CameraState::Degraded) {
-                        tracing::warn!(camera = %self.options.camera, "answers, but sends no frames");
+                        let silent_ms = heard.elapsed().as_millis() as u64;
+                        tracing::warn!(camera = %self.options.camera, silent_ms, "answers, but sends no frames");
                     }
                 }
                 Next::Nothing => {}
@@ -186,6 +241,7 @@ impl Supervisor {
         self.health.set_state(CameraState::Lost);
         self.health.losses.fetch_add(1, Ordering::Relaxed);
         let why = match held {
+            None if matches!(camera.place(), Place::Device(_)) => "it sends nothing",
             None => "it does not answer",
             Some(false) => "it has been restarted",
             Some(true) => "it answers but sends nothing",

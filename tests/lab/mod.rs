@@ -30,6 +30,15 @@ pub fn unix_s() -> f64 {
     now.unwrap().as_secs_f64()
 }
 
+/// Whether memory can be locked is this machine's matter; that it is, or that the log says it is not, is the daemon's.
+/// `status`: the text of `/proc/<id>/status`.
+pub fn is_locked_or_said(status: &str, log: &str) -> bool {
+    let line = status.lines().find(|l| l.starts_with("VmLck:")).unwrap();
+    println!("{line}");
+    let kib: u64 = line.split_whitespace().nth(1).unwrap().parse().unwrap();
+    kib > 1024 || log.contains("memory is not locked")
+}
+
 fn ip(arguments: &str) -> Result<(), String> {
     let words = arguments.split_whitespace();
     match Command::new("ip").args(words).output() {

@@ -1,22 +1,21 @@
 //! One open camera: frames in place, losses by cause, and an end that blocks nobody.
 
-use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::time::Duration;
 
 use aravis::glib::translate::IntoGlib;
 use aravis::prelude::*;
 use aravis::{Buffer, BufferPayloadType, BufferStatus, Camera, PixelFormat};
-use crossbeam_channel::{Receiver, Sender, unbounded};
+use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded, unbounded};
 
 use super::description;
 use super::error::LiveError;
-use super::ffi::{PooledFrame, RawStream, touched_buffer};
+use super::ffi::{PooledFrame, RawStream, SizedBuffer, receive_buffer, touched_buffer};
 use super::frame_number::FrameNumber;
-use super::open;
+use super::open::{self, Opened};
 use super::options::LiveOptions;
+use super::place::{self, Place};
 use super::pool::BufferMaker;
-use super::probe;
 use super::ptp::PtpFollower;
 use crate::scene::{Frame, FrameStamp};
 use crate::time::{
@@ -75,8 +74,8 @@ pub enum Next {
 
 /// What outlives a connection: the frames' memory, numbers, clock and counters of one camera.
 pub struct CameraMemory {
-    home: Sender<Buffer>,
-    returns: Receiver<Buffer>,
+    home: Sender<SizedBuffer>,
+    returns: Receiver<SizedBuffer>,
     /// Frames that readers have.
     out: usize,
     maker: BufferMaker,
@@ -115,10 +114,32 @@ impl CameraMemory {
     }
 }
 
+/// A camera that is found, opened and set up, and does not stream yet.
+pub struct ReadyCamera {
+    place: Place,
+    opened: Opened,
+}
+
+impl ReadyCamera {
+    /// Finds, opens and sets up a camera: on a bad day that takes ten seconds, on any thread.
+    ///
+    /// # Errors
+    /// What stands in the way, with what to do.
+    pub fn open(options: &LiveOptions) -> Result<Self, LiveError> {
+        let place = place::locate(options)?;
+        if let Place::Gige(address) = place {
+            place::check_free(options, address)?;
+            description::check(&options.camera, address)?;
+        }
+        let opened = open::open(options, &place)?;
+        Ok(Self { place, opened })
+    }
+}
+
 /// A streaming camera. One thread owns it; see `ffi.rs`.
 pub struct LiveCamera {
     options: LiveOptions,
-    address: Ipv4Addr,
+    place: Place,
     camera: Camera,
     stream: RawStream,
     payload_bytes: usize,
@@ -128,6 +149,7 @@ pub struct LiveCamera {
     packet_size: u32,
     model: String,
     ptp: Option<PtpFollower>,
+    socket_buffer_bytes: Option<usize>,
     /// The library's own counters when the stream began, so that ours go on over reconnections.
     underruns_seen: u64,
     resends_seen: u64,
@@ -139,13 +161,22 @@ impl LiveCamera {
     /// # Errors
     /// What stands in the way, with what to do.
     pub fn start(options: &LiveOptions, memory: &mut CameraMemory) -> Result<Self, LiveError> {
-        let address = open::locate(options)?;
-        open::check_free(options, address)?;
-        description::check(&options.camera, address)?;
-        let opened = open::open(options, address)?;
+        Self::begin(ReadyCamera::open(options)?, options, memory)
+    }
+
+    /// Gives a camera that is set up its memory, and starts it.
+    ///
+    /// # Errors
+    /// It does not start.
+    pub fn begin(
+        ready: ReadyCamera,
+        options: &LiveOptions,
+        memory: &mut CameraMemory,
+    ) -> Result<Self, LiveError> {
+        let ReadyCamera { place, opened } = ready;
         let mut live = Self {
             options: options.clone(),
-            address,
+            place,
             camera: opened.camera,
             stream: opened.stream,
             payload_bytes: opened.payload_bytes,
@@ -154,6 +185,7 @@ impl LiveCamera {
             packet_size: opened.packet_size,
             model: opened.model,
             ptp: opened.ptp,
+            socket_buffer_bytes: opened.socket_buffer_bytes,
             underruns_seen: 0,
             resends_seen: 0,
         };
@@ -163,13 +195,14 @@ impl LiveCamera {
         }
         memory.numbers = FrameNumber::after(memory.last_number);
         memory.clock.restart();
-        live.camera
-            .start_acquisition()
-            .map_err(|error| LiveError::Library {
+        if let Err(error) = live.camera.start_acquisition() {
+            live.abandon();
+            return Err(LiveError::Library {
                 camera: options.camera.clone(),
                 doing: "start the acquisition",
                 reason: error.message().to_owned(),
-            })?;
+            });
+        }
         Ok(live)
     }
 
@@ -180,10 +213,12 @@ impl LiveCamera {
 
     /// Frames that readers have let go of; memory of another size is let go, and so is more than the pool may have.
     fn take_back(&mut self, memory: &mut CameraMemory) {
-        while let Ok(buffer) = memory.returns.try_recv() {
+        // A USB stream of 0.8.26 remembers buffers by their address: none of those it has had may be freed while it runs.
+        let keeps_all = self.stream.gige().is_none();
+        while let Ok(SizedBuffer { buffer, bytes }) = memory.returns.try_recv() {
             memory.out = memory.out.saturating_sub(1);
-            let room = self.in_stream + memory.out < self.options.buffers;
-            if room && buffer.data().1 == self.payload_bytes {
+            let room = keeps_all || self.in_stream + memory.out < self.options.buffers;
+            if room && bytes == self.payload_bytes {
                 self.push(buffer);
             }
         }
@@ -205,14 +240,19 @@ impl LiveCamera {
     }
 
     /// Where it is.
-    pub fn address(&self) -> Ipv4Addr {
-        self.address
+    pub fn place(&self) -> &Place {
+        &self.place
     }
     /// Its model.
     pub fn model(&self) -> &str {
         &self.model
     }
-    /// Packet size in use.
+    /// The receive buffer that the system has granted, where that is less than was asked for.
+    pub fn small_socket_buffer(&self) -> Option<usize> {
+        self.socket_buffer_bytes
+            .filter(|granted| *granted < self.options.socket_buffer_bytes)
+    }
+    /// Packet size in use; 0 for USB.
     pub fn packet_size(&self) -> u32 {
         self.packet_size
     }
@@ -237,6 +277,10 @@ impl LiveCamera {
             memory.counters.misshapen += 1;
             return Next::Misshapen(shape);
         }
+        let buffer = SizedBuffer {
+            buffer,
+            bytes: self.payload_bytes,
+        };
         match PooledFrame::new(buffer, count, memory.home.clone()) {
             Err(buffer) => {
                 self.push(buffer);
@@ -281,6 +325,10 @@ impl LiveCamera {
         let got = [buffer.image_width(), buffer.image_height()].map(|n| u32::try_from(n).unwrap_or(0));
         let format = buffer.image_pixel_format();
         let fits = (got[0], got[1]) == self.options.size_px && format == PixelFormat::MONO_8;
+        let (asked, received) = (self.options.size_px, buffer.data().1);
+        if fits && received < asked.0 as usize * asked.1 as usize {
+            return Some(format!("{received} bytes"));
+        }
         let name = match format {
             PixelFormat::MONO_8 => "Mono8".to_owned(),
             other => format!("pixel format {:#010x}", other.into_glib()),
@@ -345,40 +393,56 @@ impl LiveCamera {
             / packets;
         memory.counters.underruns += frames;
         self.underruns_seen += frames * packets;
+        if self.stream.gige().is_none() {
+            return;
+        }
         let resends = self.stream.counter("n_resend_requests");
         memory.counters.resend_requests += resends.saturating_sub(self.resends_seen);
         self.resends_seen = resends;
     }
 
-    /// Whether the camera answers and is still held (by us): `None` when it is silent.
+    /// Whether the camera answers and is still held (by us): `None` when it is silent, or not of the kind that is asked.
     pub fn is_held(&self) -> Option<bool> {
-        (0..3).find_map(|_| probe::is_held(self.address, Duration::from_millis(100)))
+        self.place.is_held()
     }
 
-    /// Stops a camera that is alive.
-    pub fn stop(self) {
-        let _ = self.camera.stop_acquisition();
+    /// Stops a camera. A live one takes 2 ms; one that does not answer blocks for up to twelve seconds, and is waited for
+    /// no longer than [`STOP_PATIENCE`]: answers whether it has stopped.
+    pub fn stop(self) -> bool {
+        let (ended_in, ended) = bounded::<()>(0);
+        self.let_go(move |camera, stream| {
+            let _ = camera.stop_acquisition();
+            drop((stream, camera));
+            drop(ended_in);
+        });
+        ended.recv_timeout(STOP_PATIENCE) == Err(RecvTimeoutError::Disconnected)
     }
 
     /// Lets go of a camera that does not answer. Its tear-down blocks for up to twelve seconds: a thread of its own
     /// does that.
     pub fn abandon(self) {
+        self.let_go(|camera, stream| drop((stream, camera)));
+    }
+
+    fn let_go(self, how: impl FnOnce(Camera, RawStream) + Send + 'static) {
         let name = "camera-teardown".to_owned();
-        let parts = (self.stream, self.camera);
-        if let Err(error) = std::thread::Builder::new().name(name).spawn(move || drop(parts)) {
-            tracing::error!(camera = %self.options.camera, %error, "the dead camera is torn down in line");
+        let (camera, stream) = (self.camera, self.stream);
+        let work = move || how(camera, stream);
+        if let Err(error) = std::thread::Builder::new().name(name).spawn(work) {
+            tracing::error!(camera = %self.options.camera, %error, "the camera is torn down in line");
         }
     }
 }
+
+/// How long a camera may take to stop.
+const STOP_PATIENCE: Duration = Duration::from_secs(1);
 
 /// Receive buffer that the system grants when `asked` is asked for; less means `net.core.rmem_max` is too small.
 ///
 /// # Errors
 /// No socket to be had.
 pub fn granted_socket_buffer(asked: usize) -> std::io::Result<usize> {
-    use socket2::{Domain, Socket, Type};
+    use socket2::{Domain, SockRef, Socket, Type};
     let socket = Socket::new(Domain::IPV4, Type::DGRAM, None)?;
-    socket.set_recv_buffer_size(asked)?;
-    // The kernel answers twice what it books for payload.
-    Ok(socket.recv_buffer_size()? / 2)
+    receive_buffer(&SockRef::from(&socket), asked)
 }

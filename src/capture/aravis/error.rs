@@ -3,6 +3,7 @@
 use std::net::Ipv4Addr;
 
 use super::description::DescriptionError;
+use super::place::Place;
 use crate::scene::CameraId;
 
 /// A live camera's trouble.
@@ -43,7 +44,7 @@ pub enum LiveError {
         /// What was looked for.
         sought: String,
         /// Where they are.
-        places: Vec<Ipv4Addr>,
+        places: Vec<Place>,
     },
     /// Another program holds it.
     #[error(
@@ -69,6 +70,19 @@ pub enum LiveError {
         address: Ipv4Addr,
         /// What is wrong.
         why: DescriptionError,
+    },
+    /// Nothing keeps packets from the library that it would not survive.
+    #[error(
+        "camera {camera}: {address} is not used, because spoilt packets from it could not be kept out: {reason}; \
+         raise net.core.optmem_max, or take packet_socket = true (without that filter: on a network of trusted cameras)"
+    )]
+    Unguarded {
+        /// Camera.
+        camera: CameraId,
+        /// Where.
+        address: Ipv4Addr,
+        /// The system's words.
+        reason: String,
     },
     /// It cannot give Mono8.
     #[error(
@@ -131,7 +145,7 @@ pub enum LiveError {
     },
 }
 
-fn in_words(places: &[Ipv4Addr]) -> String {
+fn in_words(places: &[Place]) -> String {
     let places: Vec<_> = places.iter().map(ToString::to_string).collect();
     places.join(" and ")
 }

@@ -12,7 +12,7 @@
 //! * **Callbacks.** The stream's callback runs on the receive thread, takes no pointer of ours (the priority travels
 //!   as the value of the pointer), acts on the INIT event alone, and cannot panic across the border.
 //! * **File descriptors.** The stream's socket is found by its port among this process's own and borrowed for one call.
-//! * **Global state.** Discovery through the library changes global lists: it holds [`DEVICE_LIST`].
+//! * **Global state.** Discovery through the library changes lists that opening reads: both hold [`DEVICE_LIST`].
 
 #![allow(unsafe_code, reason = "the border to Aravis; every block says why it holds")]
 
@@ -24,6 +24,7 @@ use std::os::fd::BorrowedFd;
 use std::os::raw::{c_char, c_void};
 use std::ptr;
 use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use aravis::glib::object::Cast;
 use aravis::glib::translate::{ToGlibPtr, from_glib_full};
@@ -33,8 +34,27 @@ use aravis::{Buffer, BufferStatus, Camera, GvStream, Stream};
 use crossbeam_channel::Sender;
 use socket2::{SockFilter, SockRef, Type};
 
-/// One at a time through the library's global device list.
+/// One at a time through the library's lists of devices. Its own lock is around every open in any case.
 static DEVICE_LIST: Mutex<()> = Mutex::new(());
+/// Whether the library's own fake cameras are there.
+static FAKES: AtomicBool = AtomicBool::new(false);
+
+/// Opens the device with this name.
+///
+/// # Errors
+/// What the library says.
+pub fn open_device(name: &str) -> Result<Camera, glib::Error> {
+    let _one_at_a_time = DEVICE_LIST.lock();
+    Camera::new(Some(name))
+}
+
+/// Lets the library's own fake camera (serial 1) be found, for tests of what is not GigE Vision.
+pub fn enable_fake_camera() {
+    let _one_at_a_time = DEVICE_LIST.lock();
+    // SAFETY: a constant string that ends with a zero; nobody opens or lists meanwhile.
+    unsafe { aravis_sys::arv_enable_interface(c"Fake".as_ptr()) };
+    FAKES.store(true, Ordering::Relaxed);
+}
 
 /// A stream whose receive thread was made real-time as it began.
 pub struct RawStream(Stream);
@@ -89,14 +109,31 @@ impl RawStream {
         self.0.downcast_ref::<GvStream>()
     }
 
-    /// Attaches a filter to the socket on which this stream's packets come (USB has none). The library tells the port and
-    /// not the socket: it is the one of this process that is bound to that port on the side that faces the camera.
+    /// Attaches a filter to the socket on which this stream's packets come.
     ///
     /// # Errors
     /// No such socket, or the kernel refuses.
     pub fn attach(&self, camera: Ipv4Addr, program: &[SockFilter]) -> io::Result<()> {
-        let Some(gige) = self.gige() else { return Ok(()) };
-        let port = gige.port();
+        self.with_socket(camera, |socket| socket.attach_filter(program))
+    }
+
+    /// Asks for a receive buffer on that socket and answers what the kernel grants.
+    ///
+    /// # Errors
+    /// No such socket, or the kernel refuses.
+    pub fn grant_buffer(&self, camera: Ipv4Addr, asked_bytes: usize) -> io::Result<usize> {
+        self.with_socket(camera, |socket| receive_buffer(socket, asked_bytes))
+    }
+
+    /// The library tells the port and not the socket: it is the one of this process that is bound to that port on the
+    /// side that faces the camera. USB has none.
+    fn with_socket<T>(
+        &self,
+        camera: Ipv4Addr,
+        work: impl FnOnce(&SockRef<'_>) -> io::Result<T>,
+    ) -> io::Result<T> {
+        let not_found = || io::Error::new(io::ErrorKind::NotFound, "the stream's socket was not found");
+        let port = self.gige().ok_or_else(not_found)?.port();
         let side = UdpSocket::bind((Ipv4Addr::UNSPECIFIED, 0))?;
         side.connect((camera, port))?;
         let side = side.local_addr()?.ip();
@@ -123,14 +160,11 @@ impl RawStream {
             .find(|(_, ip)| *ip == side || ip.is_unspecified());
         let only = with_port.first().filter(|_| with_port.len() == 1);
         let Some((number, _)) = faces.or(only) else {
-            return Err(io::Error::new(
-                io::ErrorKind::NotFound,
-                "the stream's socket was not found",
-            ));
+            return Err(not_found());
         };
         // SAFETY: as above; the stream is alive and has this address, so that no other socket can have it.
         let socket = unsafe { BorrowedFd::borrow_raw(*number) };
-        SockRef::from(&socket).attach_filter(program)
+        work(&SockRef::from(&socket))
     }
 
     /// Gives a buffer to the receive thread.
@@ -147,6 +181,24 @@ impl RawStream {
     pub fn counter(&self, name: &str) -> u64 {
         self.0.info_uint64_by_name(name)
     }
+}
+
+/// Sets a socket's receive buffer and answers what the kernel grants: it says nothing where that is less.
+///
+/// # Errors
+/// What the kernel says.
+pub fn receive_buffer(socket: &SockRef<'_>, asked_bytes: usize) -> io::Result<usize> {
+    socket.set_recv_buffer_size(asked_bytes)?;
+    // The kernel answers twice what it books for payload.
+    Ok(socket.recv_buffer_size()? / 2)
+}
+
+/// A buffer with the size of its memory: the library tells only how much of it the last frame has filled.
+pub struct SizedBuffer {
+    /// The buffer.
+    pub buffer: Buffer,
+    /// Size of its memory.
+    pub bytes: usize,
 }
 
 /// Memory for one frame, written to: pages that come one by one under the first frames cost the receive thread a
@@ -174,10 +226,10 @@ pub fn make_this_thread_realtime(priority: u8) -> bool {
 
 /// The pixels of a frame in the buffer that the receive thread filled. Dropping it sends the buffer home.
 pub struct PooledFrame {
-    buffer: Option<Buffer>,
+    buffer: Option<SizedBuffer>,
     bytes: *const u8,
     count: usize,
-    home: Sender<Buffer>,
+    home: Sender<SizedBuffer>,
 }
 
 // SAFETY: the raw pointer is into memory that the buffer owns, and the buffer may move between threads (its
@@ -191,10 +243,10 @@ impl PooledFrame {
     ///
     /// # Errors
     /// The buffer itself, to be pushed again.
-    pub fn new(buffer: Buffer, count: usize, home: Sender<Buffer>) -> Result<Self, Buffer> {
-        let (bytes, received) = buffer.data();
-        if buffer.status() != BufferStatus::Success || bytes.is_null() || received < count {
-            return Err(buffer);
+    pub fn new(buffer: SizedBuffer, count: usize, home: Sender<SizedBuffer>) -> Result<Self, Buffer> {
+        let (bytes, received) = buffer.buffer.data();
+        if buffer.buffer.status() != BufferStatus::Success || bytes.is_null() || received < count {
+            return Err(buffer.buffer);
         }
         Ok(Self {
             buffer: Some(buffer),
@@ -234,37 +286,51 @@ pub struct ListedDevice {
     pub model: String,
     /// Serial number.
     pub serial: String,
-    /// IP address or USB bus path.
+    /// USB bus path.
     pub address: String,
-    /// `GigEVision` or `USB3Vision`.
+    /// `USB3Vision`.
     pub protocol: String,
 }
 
-/// Asks all interfaces (takes about a second).
-pub fn list_devices() -> Vec<ListedDevice> {
+/// The cameras that are not on the network: those of the USB bus, and the fake one where it is enabled.
+pub fn list_near_devices() -> Vec<ListedDevice> {
     let _one_at_a_time = DEVICE_LIST.lock();
-    let text = |of: unsafe extern "C" fn(u32) -> *const c_char, index: u32| {
+    // SAFETY: no arguments; an interface is made once and stays for ever.
+    let mut interfaces = vec![unsafe { aravis_sys::arv_uv_interface_get_instance() }];
+    if FAKES.load(Ordering::Relaxed) {
+        // SAFETY: as above.
+        interfaces.push(unsafe { aravis_sys::arv_fake_interface_get_instance() });
+    }
+    interfaces.retain(|interface| !interface.is_null());
+    interfaces.into_iter().flat_map(devices_of).collect()
+}
+
+type TextOf = unsafe extern "C" fn(*mut aravis_sys::ArvInterface, u32) -> *const c_char;
+
+/// Called with the lock held, and an interface of the library.
+fn devices_of(interface: *mut aravis_sys::ArvInterface) -> Vec<ListedDevice> {
+    let text = |of: TextOf, index: u32| {
         // SAFETY: `index` is below the count under the lock; the string belongs to the library and is copied at once.
-        let pointer = unsafe { of(index) };
+        let pointer = unsafe { of(interface, index) };
         if pointer.is_null() {
             return String::new();
         }
         // SAFETY: a non-null string of the library ends with a zero.
         unsafe { CStr::from_ptr(pointer) }.to_string_lossy().into_owned()
     };
-    // SAFETY: only this function touches the library's list, under the lock.
+    // SAFETY: the interface is alive, and only the holder of the lock touches its list.
     let count = unsafe {
-        aravis_sys::arv_update_device_list();
-        aravis_sys::arv_get_n_devices()
+        aravis_sys::arv_interface_update_device_list(interface);
+        aravis_sys::arv_interface_get_n_devices(interface)
     };
     (0..count)
         .map(|i| ListedDevice {
-            id: text(aravis_sys::arv_get_device_id, i),
-            vendor: text(aravis_sys::arv_get_device_vendor, i),
-            model: text(aravis_sys::arv_get_device_model, i),
-            serial: text(aravis_sys::arv_get_device_serial_nbr, i),
-            address: text(aravis_sys::arv_get_device_address, i),
-            protocol: text(aravis_sys::arv_get_device_protocol, i),
+            id: text(aravis_sys::arv_interface_get_device_id, i),
+            vendor: text(aravis_sys::arv_interface_get_device_vendor, i),
+            model: text(aravis_sys::arv_interface_get_device_model, i),
+            serial: text(aravis_sys::arv_interface_get_device_serial_nbr, i),
+            address: text(aravis_sys::arv_interface_get_device_address, i),
+            protocol: text(aravis_sys::arv_interface_get_device_protocol, i),
         })
         .collect()
 }

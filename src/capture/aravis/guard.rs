@@ -6,6 +6,7 @@
 
 use std::io;
 use std::net::Ipv4Addr;
+use std::time::Duration;
 
 use socket2::SockFilter;
 
@@ -65,6 +66,24 @@ impl Expected {
 /// The socket was not found, or the kernel refuses.
 pub fn set(stream: &RawStream, expected: &Expected) -> io::Result<()> {
     stream.attach(expected.camera, &program(expected))
+}
+
+const TRIES: usize = 3;
+const BETWEEN_TRIES: Duration = Duration::from_millis(30);
+
+/// Tries again where it failed: memory may be short for a moment, and other threads open and close files meanwhile.
+///
+/// # Errors
+/// The last try's.
+pub fn insist(set: impl Fn() -> io::Result<()>) -> io::Result<()> {
+    for _ in 1..TRIES {
+        match set() {
+            Ok(()) => return Ok(()),
+            Err(error) => tracing::debug!(%error, "the packet filter is tried again"),
+        }
+        std::thread::sleep(BETWEEN_TRIES);
+    }
+    set()
 }
 
 /// One step, with its jumps by name.
@@ -133,10 +152,28 @@ fn assemble(steps: &[Step]) -> Vec<SockFilter> {
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
     use std::net::UdpSocket;
-    use std::time::Duration;
 
     use super::*;
+
+    #[test]
+    fn a_guard_that_cannot_be_set_is_tried_again_and_then_refused() {
+        let tries = Cell::new(0);
+        let fails = |times: usize| {
+            tries.set(0);
+            insist(|| {
+                tries.set(tries.get() + 1);
+                match tries.get() <= times {
+                    true => Err(io::ErrorKind::OutOfMemory.into()),
+                    false => Ok(()),
+                }
+            })
+        };
+        assert!(fails(0).is_ok() && tries.get() == 1);
+        assert!(fails(2).is_ok() && tries.get() == 3);
+        assert!(fails(9).is_err() && tries.get() == TRIES);
+    }
 
     /// A guarded socket, and whether it hears what a sender on `from` sends.
     fn passes(expected: &Expected, from: &str, packets: &[Vec<u8>]) -> Vec<bool> {

@@ -1,5 +1,4 @@
-//! Live cameras through Aravis: GigE Vision. USB3 Vision cameras are listed, and cannot be opened yet: the way from a
-//! serial number to an open camera goes by its network address.
+//! Live cameras through Aravis: GigE Vision by address, serial number or name, and USB3 Vision by serial number.
 //!
 //! ```text
 //! receive thread (Aravis, real-time) ─ whole buffers ─► capture thread ─ LiveFrame ─► readers
@@ -21,13 +20,17 @@ mod guard;
 mod nodes;
 mod open;
 mod options;
+mod place;
 mod pool;
 mod probe;
 mod ptp;
 
-pub use camera::{CameraMemory, LiveCamera, LiveCounters, LiveFrame, Next, granted_socket_buffer};
+pub use camera::{
+    CameraMemory, LiveCamera, LiveCounters, LiveFrame, Next, ReadyCamera, granted_socket_buffer,
+};
 pub use description::DescriptionError;
 pub use error::LiveError;
-pub use ffi::{ListedDevice, list_devices, make_this_thread_realtime};
-pub use options::{CameraAddress, LiveOptions, PacketPath, Ptp};
+pub use ffi::{ListedDevice, enable_fake_camera, list_near_devices, make_this_thread_realtime};
+pub use options::{CameraAddress, LiveOptions, PacketPath, Ptp, UsbMode};
+pub use place::Place;
 pub use probe::{Found, discover, holder, is_held, ping};

@@ -1,124 +1,17 @@
-//! Finds, opens and sets up one camera.
-
-use std::net::Ipv4Addr;
-use std::time::Duration;
+//! Opens and sets up one camera.
 
 use aravis::prelude::*;
 use aravis::{Camera, GvStreamOption, GvStreamPacketResend, GvStreamSocketBuffer, PixelFormat, UvUsbMode};
 
 use super::error::LiveError;
-use super::ffi::RawStream;
+use super::ffi::{RawStream, open_device};
 use super::guard;
-use super::options::{LiveOptions, PacketPath};
-use super::probe;
+use super::options::{LiveOptions, PacketPath, UsbMode};
+use super::place::Place;
 use super::ptp::PtpFollower;
 
-/// How long a camera may take to answer a ping.
-const PING: Duration = Duration::from_millis(100);
-const DISCOVERY: Duration = Duration::from_millis(500);
 /// Ethernet, IP, UDP and GVSP bytes of a packet over its pixels.
 const OVERHEAD: f64 = 1.01;
-
-/// Where the camera is now.
-///
-/// # Errors
-/// Absent, another camera, or several.
-pub fn locate(options: &LiveOptions) -> Result<Ipv4Addr, LiveError> {
-    let which = &options.which;
-    let sought = || which.to_string();
-    let fits = |found: &probe::Found| {
-        which.serial.as_ref().is_none_or(|s| *s == found.serial)
-            && which.user_name.as_ref().is_none_or(|n| *n == found.user_name)
-    };
-    if let Some(address) = which.address {
-        if let Some(found) = (0..3).find_map(|_| probe::ping(address, PING)) {
-            if fits(&found) {
-                return Ok(address);
-            }
-            if which.serial.is_none() {
-                return Err(LiveError::Absent {
-                    camera: options.camera.clone(),
-                    sought: sought(),
-                    others: others(std::slice::from_ref(&found)),
-                });
-            }
-            // The right camera may have moved to another address: look below, else say who is here.
-            return search(options, fits).map_err(|error| match error {
-                LiveError::Absent { camera, .. } => LiveError::AnotherCamera {
-                    camera,
-                    address,
-                    found: found.serial,
-                    expected: which.serial.clone().unwrap_or_default(),
-                },
-                other => other,
-            });
-        }
-        if which.serial.is_none() && which.user_name.is_none() {
-            return Err(LiveError::Absent {
-                camera: options.camera.clone(),
-                sought: sought(),
-                others: String::new(),
-            });
-        }
-    }
-    search(options, fits)
-}
-
-fn search(options: &LiveOptions, fits: impl Fn(&probe::Found) -> bool) -> Result<Ipv4Addr, LiveError> {
-    let all = probe::discover(DISCOVERY);
-    let found: Vec<_> = all.iter().filter(|camera| fits(camera)).collect();
-    match found.as_slice() {
-        [] => Err(LiveError::Absent {
-            camera: options.camera.clone(),
-            sought: options.which.to_string(),
-            others: others(&all),
-        }),
-        [one] => Ok(one.address),
-        several => Err(LiveError::Ambiguous {
-            camera: options.camera.clone(),
-            sought: options.which.to_string(),
-            places: several.iter().map(|found| found.address).collect(),
-        }),
-    }
-}
-
-/// The cameras that are there instead, as far as a line holds them.
-fn others(found: &[probe::Found]) -> String {
-    const MOST: usize = 4;
-    if found.is_empty() {
-        return String::new();
-    }
-    let told = found.iter().take(MOST).map(|camera| {
-        let name = match camera.user_name.as_str() {
-            "" => String::new(),
-            name => format!(" named {name}"),
-        };
-        format!("serial {}{name} at {}", camera.serial, camera.address)
-    });
-    let more = if found.len() > MOST { ", …" } else { "" };
-    format!(" (there is {}{more})", told.collect::<Vec<_>>().join(", "))
-}
-
-/// Refuses a camera that another program holds.
-///
-/// # Errors
-/// [`LiveError::Held`], or no answer.
-pub fn check_free(options: &LiveOptions, address: Ipv4Addr) -> Result<(), LiveError> {
-    let camera = options.camera.clone();
-    match (0..3).find_map(|_| probe::is_held(address, PING)) {
-        Some(false) => Ok(()),
-        Some(true) => Err(LiveError::Held {
-            camera,
-            address,
-            by: probe::holder(address, PING),
-        }),
-        None => Err(LiveError::Absent {
-            camera,
-            sought: address.to_string(),
-            others: String::new(),
-        }),
-    }
-}
 
 /// A camera that is set up, before it streams.
 pub struct Opened {
@@ -129,13 +22,15 @@ pub struct Opened {
     pub packet_size: u32,
     pub model: String,
     pub ptp: Option<PtpFollower>,
+    /// The receive buffer that the system grants; `None` where there is no socket to ask.
+    pub socket_buffer_bytes: Option<usize>,
 }
 
-/// Opens and sets up the camera at an address (which must have answered a ping).
+/// Opens and sets up the camera that is there (one on the network must have answered a ping).
 ///
 /// # Errors
 /// Whatever is refused, by name.
-pub fn open(options: &LiveOptions, address: Ipv4Addr) -> Result<Opened, LiveError> {
+pub fn open(options: &LiveOptions, place: &Place) -> Result<Opened, LiveError> {
     let failed = |doing: &'static str| {
         let camera = options.camera.clone();
         move |error: aravis::glib::Error| LiveError::Library {
@@ -144,7 +39,7 @@ pub fn open(options: &LiveOptions, address: Ipv4Addr) -> Result<Opened, LiveErro
             reason: error.message().to_owned(),
         }
     };
-    let camera = Camera::new(Some(&address.to_string())).map_err(failed("open"))?;
+    let camera = open_device(&place.to_string()).map_err(failed("open"))?;
     // A camera left streaming by a crashed program refuses new settings.
     let _ = camera.stop_acquisition();
     shorten_heartbeat(options, &camera);
@@ -160,15 +55,16 @@ pub fn open(options: &LiveOptions, address: Ipv4Addr) -> Result<Opened, LiveErro
     let stream =
         RawStream::create(&camera, options.realtime_priority).map_err(failed("create the stream"))?;
     tune(options, &stream);
-    if options.path == PacketPath::UdpSocket {
+    let mut socket_buffer_bytes = None;
+    if let (Place::Gige(address), PacketPath::UdpSocket) = (place, options.path) {
         let expected = guard::Expected {
-            camera: address,
+            camera: *address,
             payload_bytes,
             packet_size,
         };
-        if let Err(error) = guard::set(&stream, &expected) {
-            tracing::warn!(camera = %options.camera, %error, "spoilt packets are not kept from the library");
-        }
+        set_guard(options, &stream, &expected)?;
+        // The library sets it with the first frame, and does not look at what it got.
+        socket_buffer_bytes = stream.grant_buffer(*address, options.socket_buffer_bytes).ok();
     }
     Ok(Opened {
         model: camera.model_name().map(|m| m.to_string()).unwrap_or_default(),
@@ -178,7 +74,18 @@ pub fn open(options: &LiveOptions, address: Ipv4Addr) -> Result<Opened, LiveErro
         exposure_s,
         packet_size,
         ptp,
+        socket_buffer_bytes,
     })
+}
+
+/// No camera streams without it: one packet would end all of them.
+fn set_guard(options: &LiveOptions, stream: &RawStream, expected: &guard::Expected) -> Result<(), LiveError> {
+    let refused = |reason: std::io::Error| LiveError::Unguarded {
+        camera: options.camera.clone(),
+        address: expected.camera,
+        reason: reason.to_string(),
+    };
+    guard::insist(|| guard::set(stream, expected)).map_err(refused)
 }
 
 fn setting<T: std::fmt::Display>(
@@ -297,8 +204,12 @@ fn set_timing(options: &LiveOptions, camera: &Camera) -> Result<f64, LiveError> 
 
 fn set_transport(options: &LiveOptions, camera: &Camera) -> Result<u32, LiveError> {
     if camera.is_uv_device() {
-        // The asynchronous mode of 0.8.26 spins on an empty queue and may wait for ever; 0.8.29 mends it.
-        camera.uv_set_usb_mode(UvUsbMode::Sync);
+        camera.uv_set_usb_mode(match options.usb_mode {
+            UsbMode::Sync => UvUsbMode::Sync,
+            UsbMode::Async => UvUsbMode::Async,
+        });
+    }
+    if !camera.is_gv_device() {
         return Ok(0);
     }
     camera.gv_set_stream_options(match options.path {

@@ -46,6 +46,16 @@ pub enum Ptp {
     WhereAvailable(PtpDomain),
 }
 
+/// How a USB3 Vision camera's frames are fetched.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum UsbMode {
+    /// One transfer after the other.
+    #[default]
+    Sync,
+    /// Several at once: more bandwidth. Aravis before 0.8.28 spins in it when no buffer is free, and may wait for ever.
+    Async,
+}
+
 /// How to open one live camera.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LiveOptions {
@@ -67,6 +77,8 @@ pub struct LiveOptions {
     pub packet_size: Option<u32>,
     /// How packets come.
     pub path: PacketPath,
+    /// How a USB3 camera's frames are fetched.
+    pub usb_mode: UsbMode,
     /// Socket buffer, bytes.
     pub socket_buffer_bytes: usize,
     /// The most frames in the pool.
@@ -93,6 +105,7 @@ impl LiveOptions {
             gain_db: None,
             packet_size: None,
             path: PacketPath::UdpSocket,
+            usb_mode: UsbMode::Sync,
             socket_buffer_bytes: 32 << 20,
             buffers: 48,
             buffers_ready: 48,
