@@ -110,10 +110,12 @@ fn watch(mut live: LiveCamera, memory: &mut CameraMemory, (what, asked_hz): (&st
         }
     }
     let place = format!(
-        "{} at {}, packets of {} bytes",
+        "{} at {}, packets of {} bytes{}",
         live.model(),
         live.place(),
-        live.packet_size()
+        live.packet_size(),
+        live.ptp_state()
+            .map_or_else(String::new, |state| format!(", PTP {state}"))
     );
     live.stop();
     told(what, &came, (asked_hz, &place), memory.counters())

@@ -114,7 +114,8 @@ quota_gib = 100        # the oldest recordings go beyond this
             text,
             "\n# {} {}, seen at {}\n[[camera]]\nid = {}\nserial = {}   # the same camera at any address\n\
              # address = \"{}\"      # only this address\n# packet_size = 9000      # negotiated unless given\n\
-             # gain_db = 6.0\n# ptp = true            # its clock follows the network's (PTP)\n",
+             # gain_db = 6.0\n# ptp = true            # its clock follows the network's (PTP)\n\
+             # features = [[\"BlackLevel\", 4.0]]   # whatever else it can do, by GenICam name, in this order\n",
             one_line(&camera.vendor),
             one_line(&camera.model),
             camera.address,

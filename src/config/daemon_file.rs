@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::{ConfigError, line_of};
+use crate::capture::aravis::FeatureValue;
 use crate::scene::CameraId;
 
 /// One camera's connection.
@@ -37,6 +38,8 @@ pub struct CameraConnection {
     pub ptp: bool,
     /// Several USB transfers at once, instead of one after the other.
     pub usb_async: bool,
+    /// Further features by their GenICam names, in the order in which they are set.
+    pub features: Vec<(String, FeatureValue)>,
 }
 
 /// What is recorded.
@@ -236,6 +239,8 @@ struct CameraFile {
     ptp: bool,
     #[serde(default)]
     usb_mode: UsbTransfers,
+    #[serde(default)]
+    features: Vec<(toml::Spanned<String>, toml::Value)>,
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, Default, Deserialize)]
@@ -244,6 +249,27 @@ enum UsbTransfers {
     #[default]
     Sync,
     Async,
+}
+
+/// The features asked for; where one is and why it cannot be.
+fn features_of(camera: &CameraFile) -> Result<Vec<(String, FeatureValue)>, (usize, String)> {
+    let value_of = |(name, value): &(toml::Spanned<String>, toml::Value)| {
+        let value = match value {
+            toml::Value::Boolean(switch) => FeatureValue::Switch(*switch),
+            toml::Value::Integer(number) => FeatureValue::Integer(*number),
+            toml::Value::Float(number) => FeatureValue::Float(*number),
+            toml::Value::String(text) => FeatureValue::Text(text.clone()),
+            other => {
+                let (at, name, kind) = (name.span().start, name.get_ref(), other.type_str());
+                let why = format!(
+                    "features: the value of {name} is of type {kind}; give true, false, a number or a text"
+                );
+                return Err((at, why));
+            }
+        };
+        Ok((name.get_ref().clone(), value))
+    };
+    camera.features.iter().map(value_of).collect()
 }
 
 /// Reads and checks a daemon file.
@@ -317,6 +343,7 @@ pub fn parse_daemon(path: &Path, text: &str) -> Result<DaemonConfig, ConfigError
             packet_socket: camera.packet_socket,
             ptp: camera.ptp,
             usb_async: camera.usb_mode == UsbTransfers::Async,
+            features: features_of(camera).map_err(|(at, reason)| invalid(at, reason))?,
         });
     }
     if cameras.is_empty() {
@@ -378,6 +405,31 @@ mod tests {
         assert!(mode("\"async\"").unwrap().cameras[1].usb_async);
         assert!(!mode("\"sync\"").unwrap().cameras[1].usb_async);
         assert!(mode("\"fast\"").unwrap_err().to_string().contains("p.toml:8: "));
+    }
+
+    #[test]
+    fn features_keep_their_order_and_say_what_is_wrong() {
+        let path = Path::new("/etc/pitchd/pitchd.toml");
+        let with = |features: &str| parse_daemon(path, &format!("{GOOD}features = {features}\n"));
+        let config =
+            with("[[\"TriggerSelector\", \"FrameStart\"], [\"Rate\", 175.0], [\"A\", 3], [\"B\", true]]");
+        assert_eq!(
+            config.unwrap().cameras[1].features,
+            [
+                (
+                    "TriggerSelector".to_owned(),
+                    FeatureValue::Text("FrameStart".into())
+                ),
+                ("Rate".to_owned(), FeatureValue::Float(175.0)),
+                ("A".to_owned(), FeatureValue::Integer(3)),
+                ("B".to_owned(), FeatureValue::Switch(true)),
+            ]
+        );
+        let error = with("[[\"Rate\", [1]]]").unwrap_err().to_string();
+        assert!(
+            error.contains("pitchd.toml:8: ") && error.contains("the value of Rate is of type array"),
+            "{error}"
+        );
     }
 
     #[test]

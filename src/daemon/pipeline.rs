@@ -456,6 +456,7 @@ pub fn live_options(
         } else {
             Ptp::Off
         },
+        features: connection.features.clone(),
         ..LiveOptions::new(
             connection.id.clone(),
             which,

@@ -252,6 +252,10 @@ impl LiveCamera {
         self.socket_buffer_bytes
             .filter(|granted| *granted < self.options.socket_buffer_bytes)
     }
+    /// Where its clock stands with the network's (PTP), in the standard's words; `None` where it does not try.
+    pub fn ptp_state(&self) -> Option<&str> {
+        self.ptp.as_ref().map(PtpFollower::state)
+    }
     /// Packet size in use; 0 for USB.
     pub fn packet_size(&self) -> u32 {
         self.packet_size

@@ -106,6 +106,18 @@ pub enum LiveError {
         /// The library's words.
         reason: String,
     },
+    /// A feature of `features` cannot be set.
+    #[error("camera {camera}: features: {feature} = {value}: {reason}; correct `features` of this camera")]
+    Feature {
+        /// Camera.
+        camera: CameraId,
+        /// Which.
+        feature: String,
+        /// Asked value.
+        value: String,
+        /// Why.
+        reason: String,
+    },
     /// A setting did not stay.
     #[error(
         "camera {camera}: {setting} is {got}, asked was {asked}; lower the rate, the region or the exposure"

@@ -14,6 +14,7 @@ mod archive;
 mod camera;
 mod description;
 mod error;
+mod features;
 mod ffi;
 mod frame_number;
 mod guard;
@@ -30,6 +31,7 @@ pub use camera::{
 };
 pub use description::DescriptionError;
 pub use error::LiveError;
+pub use features::FeatureValue;
 pub use ffi::{ListedDevice, enable_fake_camera, list_near_devices, make_this_thread_realtime};
 pub use options::{CameraAddress, LiveOptions, PacketPath, Ptp, UsbMode};
 pub use place::Place;

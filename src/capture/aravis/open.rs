@@ -4,6 +4,7 @@ use aravis::prelude::*;
 use aravis::{Camera, GvStreamOption, GvStreamPacketResend, GvStreamSocketBuffer, PixelFormat, UvUsbMode};
 
 use super::error::LiveError;
+use super::features;
 use super::ffi::{RawStream, open_device};
 use super::guard;
 use super::options::{LiveOptions, PacketPath, UsbMode};
@@ -46,6 +47,7 @@ pub fn open(options: &LiveOptions, place: &Place) -> Result<Opened, LiveError> {
     set_image(options, &camera)?;
     let exposure_s = set_timing(options, &camera)?;
     let ptp = PtpFollower::start(options, &camera)?;
+    features::set(options, &camera)?;
     let payload_bytes = sane_payload(
         options,
         camera.payload().map_err(failed("read PayloadSize"))? as usize,

@@ -2,6 +2,7 @@
 
 use std::net::Ipv4Addr;
 
+use super::features::FeatureValue;
 use crate::scene::CameraId;
 use crate::time::PtpDomain;
 
@@ -90,6 +91,8 @@ pub struct LiveOptions {
     pub realtime_priority: Option<u8>,
     /// Clock discipline.
     pub ptp: Ptp,
+    /// Further features by their GenICam names, set in this order before it streams.
+    pub features: Vec<(String, FeatureValue)>,
 }
 
 impl LiveOptions {
@@ -111,6 +114,7 @@ impl LiveOptions {
             buffers_ready: 48,
             realtime_priority: Some(20),
             ptp: Ptp::Off,
+            features: Vec::new(),
         }
     }
 

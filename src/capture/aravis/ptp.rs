@@ -120,6 +120,11 @@ impl PtpFollower {
         }
     }
 
+    /// What the camera last said of its clock, in the standard's words.
+    pub fn state(&self) -> &str {
+        &self.state
+    }
+
     fn look(&mut self, camera: &Camera) {
         // Cameras that latch nothing need no command.
         let _ = camera.execute_command(self.names.latch);
