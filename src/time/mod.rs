@@ -9,6 +9,7 @@
 //! The constant is the *capture delay* τ: **true = stamped − τ** [Kim19 eq. 2 and 4], τ = 0 for the
 //! reference camera. τ > 0 means the frame stamped `t` shows the ball where it was at `t − τ`.
 
+mod clock_line;
 mod clock_model;
 mod host_clock;
 mod lateness;
