@@ -3,7 +3,8 @@
 # make install   program, unit, sysctl, udev, sysusers, tmpfiles, manual pages and completions below DESTDIR
 # make deb    the same as a Debian package, in target/deb (`cargo deb` makes it too)
 # make bench  every benchmark (ratios against a named baseline of the same run)
-.PHONY: demo test bench packages lint install deb
+# make bench-live   the daemon at full rate, as root: SECONDS_LIVE=300 CAMERAS=2 (or 3, or 4 smaller ones)
+.PHONY: demo test bench bench-live packages lint install deb
 
 CARGO_TARGET_DIR ?= target
 export CARGO_TARGET_DIR
@@ -18,6 +19,11 @@ test: packages
 
 bench: packages
 	cargo bench --locked
+
+SECONDS_LIVE ?= 300
+CAMERAS ?= 2
+bench-live: packages
+	cargo bench --locked --bench full_rate -- --seconds $(SECONDS_LIVE) --cameras $(CAMERAS)
 
 lint: packages
 	cargo fmt --check
