@@ -28,7 +28,9 @@ const LARGE_BLOBS_MAX: usize = 8;
 const MIXED_SIDE_MIN_PX: usize = 12;
 const MIXED_BLOBS_MAX: usize = 16;
 /// Most expected balls of one frame.
-const EXPECTED_MAX: usize = 8;
+const EXPECTED_MAX: usize = 16;
+/// Balls expected nearer than this to each other are one, pixels.
+const EXPECTED_ALIKE_PX: f64 = 1.0;
 
 /// Where a ball should be in a frame, by its track or by the other cameras.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -39,6 +41,14 @@ pub struct ExpectedBall {
     pub reach_px: f64,
     /// Its radius, pixels.
     pub radius_px: f64,
+}
+
+impl ExpectedBall {
+    /// Whether looking for one finds the other.
+    fn is_like(&self, other: &Self) -> bool {
+        let off = self.centre.vector() - other.centre.vector();
+        off.norm() < EXPECTED_ALIKE_PX && self.reach_px + EXPECTED_ALIKE_PX >= other.reach_px
+    }
 }
 
 /// Who is told the candidates, and may know better where to look.
@@ -389,9 +399,19 @@ impl Detector {
         }
     }
 
-    /// Weak candidates where balls are expected.
+    /// Weak candidates where balls are expected. Branches of one path expect nearly the same: one look serves them all.
     fn look_where_expected(&mut self, images: &Images<'_>, stamp: FrameStamp) {
-        for expected in self.expected.iter().take(EXPECTED_MAX) {
+        let mut distinct = 0;
+        for index in 0..self.expected.len() {
+            let (before, rest) = self.expected.split_at(index);
+            let Some(expected) = rest.first() else { break };
+            if before.iter().any(|other| other.is_like(expected)) {
+                continue;
+            }
+            distinct += 1;
+            if distinct > EXPECTED_MAX {
+                break;
+            }
             let sigma = self.noise.difference_sigma(
                 expected.centre.y.max(0.0) as usize / TILE_HEIGHT_PX,
                 expected.centre.x.max(0.0) as usize / TILE_WIDTH_PX,

@@ -8,7 +8,7 @@ use super::curve::{Curve, Sample, Stiffness};
 use super::hypothesis::{Hypothesis, Point, gain, light_variance_px2, local_curve};
 use super::open::point_of;
 use super::polish::{CENTROID_FLOOR_PX, polish};
-use super::shape::{TrackShape, TrackedBall};
+use super::shape::{TrackKind, TrackShape, TrackedBall};
 use super::tracker::FramePoints;
 use crate::scene::{CameraId, Track};
 
@@ -28,6 +28,8 @@ const GROW_MAX_PX: f64 = 5.0;
 /// Points taken off an end at once, and the rms distance from a smooth curve that is smooth enough, pixels.
 const TRIM_STEP: usize = 2;
 const TRIM_RMS_PX: f64 = 0.9;
+/// Highest degree of that curve.
+const DEGREE_MAX: usize = 5;
 /// A stretch that is not smooth is tried at so many more places (more where it matters), then shorter by one part in so
 /// many.
 const TRIM_PLACES: usize = 6;
@@ -53,7 +55,27 @@ pub fn conclude(
 ) -> Option<(Vec<Point>, TrackedBall)> {
     let core = free_flight(&hypothesis.points)?;
     let all = extend(config, core, history);
-    let smooth = smooth_part(&all)?;
+    let (mut points, mut ball) = judged(config, camera, &all, DEGREE_MAX)?;
+    if ball.kind == TrackKind::Rough {
+        // So bent a curve went through the hand and the ball.
+        if let Some((stiff_points, stiff)) = judged(config, camera, &all, DEGREE_MAX - 1)
+            && stiff.kind != TrackKind::Rough
+        {
+            (points, ball) = (stiff_points, stiff);
+        }
+    }
+    ball.score = hypothesis.score;
+    Some((points, ball))
+}
+
+/// The part of a path that is smooth by curves of at most this degree, and what it looks like.
+fn judged(
+    config: &TrackerConfig,
+    camera: &CameraId,
+    all: &[Point],
+    degree_max: usize,
+) -> Option<(Vec<Point>, TrackedBall)> {
+    let smooth = smooth_part(all, degree_max)?;
     // A bent begin takes places from the end: the polish decides about the next few at either end.
     let spared = smooth.start.saturating_sub(SPARED)..(smooth.end + SPARED).min(all.len());
     let (smooth, points) = (all.get(smooth)?, all.get(spared)?.to_vec());
@@ -80,7 +102,7 @@ pub fn conclude(
             track,
             kind,
             shape,
-            score: hypothesis.score,
+            score: 0.0,
         },
     ))
 }
@@ -176,10 +198,10 @@ fn grow<'a>(path: &mut Vec<Point>, next: impl Iterator<Item = &'a Point>) {
 /// The longest stretch that is smooth as a whole: what the hand and the glove add bends it. Ever shorter stretches are
 /// tried at a few places each, then those between the first smooth one and the last that was not: all lengths and places
 /// of a rough path of hundreds of points would be tens of thousands of fits.
-fn smooth_part(points: &[Point]) -> Option<Range<usize>> {
+fn smooth_part(points: &[Point], degree_max: usize) -> Option<Range<usize>> {
     let is_smooth = |range: &Range<usize>| {
         let stretch = points.get(range.clone());
-        stretch.is_some_and(|stretch| roughness_px(stretch) < TRIM_RMS_PX)
+        stretch.is_some_and(|stretch| roughness_px(stretch, degree_max) < TRIM_RMS_PX)
     };
     let smooth_of = |length: usize, places_max: usize| {
         let spare = points.len() - length;
@@ -203,9 +225,9 @@ fn smooth_part(points: &[Point]) -> Option<Range<usize>> {
 }
 
 /// Rms distance from one smooth curve.
-fn roughness_px(points: &[Point]) -> f64 {
+fn roughness_px(points: &[Point], degree_max: usize) -> f64 {
     let samples: Vec<Sample> = points.iter().map(Point::sample).collect();
-    let degree = (samples.len() / 6).clamp(2, 5);
+    let degree = (samples.len() / 6).clamp(2, degree_max);
     let stiffness = Stiffness {
         degree,
         acceleration_sigma: f64::INFINITY,

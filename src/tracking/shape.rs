@@ -16,6 +16,11 @@ const SAME_SIZE_LOG: f64 = 0.6;
 const RADIUS_MIN_PX: f64 = 1.2;
 /// Stamps of ordinary cameras shake by this much, seconds: along its way a fast ball seems rough by half a pixel.
 const STAMP_JITTER_S: f64 = 1.5e-4;
+/// Gravity, the air, or its coming nearer change a ball's velocity in the picture by more than this, radii per second
+/// squared (1.1 m/s² across the line of sight; a pitch from the side has 5 to 13), seen over at least so long.
+const PULL_MIN_RADII_PER_S2: f64 = 30.0;
+const PULL_SPAN_MIN_S: f64 = 0.15;
+const PULL_SIGMAS: f64 = 4.0;
 /// Points over which the peak speed is measured.
 const PEAK_POINTS: usize = 8;
 
@@ -32,6 +37,8 @@ pub enum TrackKind {
     Rough,
     /// One of several that move side by side: parts of a player, not a ball.
     Group,
+    /// Smooth and fast, but nothing pulls it: a bird.
+    Straight,
     /// Smooth and fast, but against the way the pitches of this camera go.
     ThrowBack,
 }
@@ -49,6 +56,8 @@ pub struct TrackShape {
     pub radius_px: f64,
     /// Rms distance from a smooth curve, pixels, beyond what shaking stamps explain.
     pub roughness_px: f64,
+    /// Mean acceleration in the picture that the points allow for, pixels per second squared; infinite for short paths.
+    pub pull_px_per_s2: f64,
     /// Mean position, pixels.
     pub middle_px: [f64; 2],
 }
@@ -98,6 +107,7 @@ impl TrackShape {
             peak_speed_px_per_s: peak_speed(&samples),
             radius_px,
             roughness_px: roughness_px(&samples, &curve, velocity),
+            pull_px_per_s2: pull_px_per_s2(&samples, span_s),
             middle_px: [middle.x, middle.y],
         })
     }
@@ -121,6 +131,8 @@ impl TrackShape {
             TrackKind::Short
         } else if self.speed_radii_per_s() < config.speed_radii_per_s_min {
             TrackKind::Slow
+        } else if self.pull_px_per_s2 < PULL_MIN_RADII_PER_S2 * self.radius_px.max(RADIUS_MIN_PX) {
+            TrackKind::Straight
         } else if config.pitch_way.is_some_and(|way| !self.goes(way)) {
             TrackKind::ThrowBack
         } else {
@@ -133,6 +145,26 @@ impl TrackShape {
         let [vx, vy] = self.velocity_px_per_s;
         vx * x + vy * y > SAME_WAY_COSINE * vx.hypot(vy)
     }
+}
+
+/// Mean acceleration, and what its uncertainty adds: the departure from a parabola, taken for the noise, is that of neighbours
+/// alike.
+fn pull_px_per_s2(samples: &[Sample], span_s: f64) -> f64 {
+    let parabola = Stiffness {
+        degree: 2,
+        acceleration_sigma: f64::INFINITY,
+    };
+    let Some(curve) = Curve::fit(samples, parabola).filter(|_| span_s > PULL_SPAN_MIN_S) else {
+        return f64::INFINITY;
+    };
+    let at = |share: f64| curve.position(share * span_s);
+    let pull = 4.0 * (at(1.0) - 2.0 * at(0.5) + at(0.0)).norm() / (span_s * span_s);
+    let squares = samples
+        .iter()
+        .map(|s| (s.position_px - curve.position(s.t)).norm_squared());
+    let count = samples.len() as f64;
+    let noise_px = (squares.sum::<f64>() / count).sqrt();
+    pull + PULL_SIGMAS * noise_px * (720.0 / count).sqrt() / (span_s * span_s)
 }
 
 /// Rms distance from a curve, less what shaking stamps make of it along the motion.
@@ -188,6 +220,9 @@ pub fn vote(shapes: &[TrackShape]) -> Vec<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Pixel;
+    use crate::scene::{CameraId, TrackPoint};
+    use crate::time::StampedMidpoint;
 
     fn shape(vx: f64, vy: f64, radius_px: f64) -> TrackShape {
         TrackShape {
@@ -196,6 +231,7 @@ mod tests {
             peak_speed_px_per_s: vx.hypot(vy),
             radius_px,
             roughness_px: 0.1,
+            pull_px_per_s2: 900.0,
             middle_px: [900.0, 400.0],
         }
     }
@@ -250,6 +286,33 @@ mod tests {
         };
         assert!(shaken(1.0, 0.0) < 0.1, "{}", shaken(1.0, 0.0));
         assert!((shaken(0.0, 1.0) - 0.5).abs() < 0.01, "{}", shaken(0.0, 1.0));
+    }
+
+    #[test]
+    fn what_nothing_pulls_is_no_ball() {
+        let path = |pull_px_per_s2: f64, points: u32| {
+            let points = (0..points).map(|i| {
+                let t = f64::from(i) / 175.0;
+                let shake = if i % 2 == 0 { 0.3 } else { -0.3 };
+                TrackPoint {
+                    frame: u64::from(i),
+                    stamped: StampedMidpoint::from_seconds_since(0, t),
+                    pixel: Pixel::new(1800.0 - 700.0 * t, 300.0 + shake + 0.5 * pull_px_per_s2 * t * t),
+                    covariance_px2: None,
+                }
+            });
+            let track = Track {
+                camera: CameraId::new("first").unwrap(),
+                track: 0,
+                points: points.collect(),
+            };
+            TrackShape::measure(&track, 1.4)
+                .unwrap()
+                .kind(&TrackerConfig::default())
+        };
+        assert_eq!(path(0.0, 80), TrackKind::Straight);
+        assert_eq!(path(150.0, 80), TrackKind::Pitch);
+        assert_eq!(path(0.0, 30), TrackKind::Pitch, "too short to tell");
     }
 
     #[test]
