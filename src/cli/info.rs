@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::bail;
 
-use crate::recording::{CameraRecording, SessionReader};
+use crate::recording::{CameraRecording, SessionReader, Verified};
 
 const AFTER_HELP: &str = "\
 Without --verify only the ends of the files are looked at; with it, or where an end is damaged, every frame is \
@@ -36,9 +36,10 @@ pub fn run(args: &InfoArgs) -> anyhow::Result<()> {
     // How much of a damaged file is left can only be told by reading it.
     let whole = (args.verify || !session.damage().is_empty()).then(|| session.verify());
     if args.json {
-        say_line!("{}", serde_json::to_string_pretty(&json(&session, whole))?);
+        let json = json(&session, whole.as_ref());
+        say_line!("{}", serde_json::to_string_pretty(&json)?);
     } else {
-        print(&session, whole);
+        print(&session, whole.as_ref());
     }
     match session.damage().len() {
         0 => Ok(()),
@@ -47,7 +48,7 @@ pub fn run(args: &InfoArgs) -> anyhow::Result<()> {
     }
 }
 
-fn print(session: &SessionReader, whole: Option<u64>) {
+fn print(session: &SessionReader, whole: Option<&Verified>) {
     say_line!(
         "{:16} {:>11} {:>7} {:>9} {:>9} files",
         "camera",
@@ -78,7 +79,14 @@ fn print(session: &SessionReader, whole: Option<u64>) {
         kept(session.calibration_json().is_some())
     );
     if let Some(whole) = whole {
-        say_line!("{whole} frames read, checksums right");
+        say_line!("{} frames read, checksums right", whole.frames);
+        for (camera, holes) in &whole.holes {
+            say_line!(
+                "camera {camera}: {} frames were never recorded, in {} places",
+                holes.frames,
+                holes.places
+            );
+        }
     }
     for loss in session.losses() {
         say_line!("lost in an earlier repair: {loss}");
@@ -103,7 +111,7 @@ fn span_and_rate(camera: &CameraRecording) -> Option<(f64, f64)> {
     ))
 }
 
-fn json(session: &SessionReader, whole: Option<u64>) -> serde_json::Value {
+fn json(session: &SessionReader, whole: Option<&Verified>) -> serde_json::Value {
     let cameras: Vec<_> = session
         .cameras()
         .map(|camera| {
@@ -136,7 +144,8 @@ fn json(session: &SessionReader, whole: Option<u64>) -> serde_json::Value {
         "cameras": cameras,
         "rig": session.rig_toml().is_some(),
         "calibration": session.calibration_json().is_some(),
-        "frames_verified": whole,
+        "frames_verified": whole.map(|w| w.frames),
+        "holes": whole.map(|w| &w.holes),
         "losses": session.losses(),
         "damage": damage,
     })

@@ -62,7 +62,8 @@ struct Continuous {
 /// A session being written.
 struct Open {
     session: SessionWriter,
-    cameras: BTreeMap<CameraId, CameraWriter>,
+    /// Each with the number of the frame last written.
+    cameras: BTreeMap<CameraId, (CameraWriter, u64)>,
     since: Instant,
     frames: u64,
     bytes: u64,
@@ -70,21 +71,31 @@ struct Open {
 
 impl Open {
     fn write(&mut self, held: &HeldFrame) -> Result<(), RecordingError> {
-        let writer = match self.cameras.get_mut(&held.camera) {
-            Some(writer) => writer,
+        let number = held.frame.stamp.frame;
+        let (writer, last) = match self.cameras.get_mut(&held.camera) {
+            Some(open) => open,
             None => {
                 let geometry = CameraGeometry {
                     width_px: held.frame.width_px,
                     height_px: held.frame.height_px,
                 };
                 let writer = self.session.camera(&held.camera, geometry)?;
-                self.cameras.entry(held.camera.clone()).or_insert(writer)
+                let before = number.saturating_sub(1);
+                self.cameras
+                    .entry(held.camera.clone())
+                    .or_insert((writer, before))
             }
         };
+        // Whoever lost it, the camera, the link or this recorder: here is a hole.
+        let flags = match number.saturating_sub(*last) > 1 {
+            true => FrameFlags::AFTER_LOSS,
+            false => FrameFlags::default(),
+        };
+        *last = number;
         writer.write(&RecordedFrame {
             frame: held.frame.clone(),
             exposure_s: Some(held.exposure_s),
-            flags: FrameFlags::default(),
+            flags,
         })?;
         self.frames += 1;
         self.bytes += held.frame.bytes().len() as u64;
@@ -92,7 +103,7 @@ impl Open {
     }
 
     fn finish(self) -> Result<u64, RecordingError> {
-        for (_, writer) in self.cameras {
+        for (writer, _) in self.cameras.into_values() {
             writer.finish()?;
         }
         self.session.finish()?;

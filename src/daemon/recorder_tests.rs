@@ -6,7 +6,7 @@ use crossbeam_channel::{bounded, unbounded};
 
 use super::*;
 use crate::daemon::clip_disk::ClipDisk;
-use crate::recording::SessionReader;
+use crate::recording::{FrameFlags, Holes, SessionReader};
 use crate::scene::FrameStamp;
 use crate::time::StampedMidpoint;
 
@@ -125,6 +125,35 @@ fn a_clip_has_every_frame_from_before_release_to_after_the_plate() {
         health.held_bytes.load(Ordering::Relaxed),
         0,
         "all memory is given back"
+    );
+}
+
+#[test]
+fn a_hole_in_a_clip_is_marked() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(folder.path(), RecordMode::Continuous);
+    let (disk_in, disk) = bounded(200);
+    let health = Arc::new(RecorderHealth::default());
+    let cameras = ["first", "third"].map(|c| CameraId::new(c).unwrap());
+    let mut recorder = Recorder::new(config.clone(), cameras.to_vec(), disk_in, health.clone());
+    for k in 5..=60 {
+        recorder.take(live("first", k));
+        if !(20..=22).contains(&k) && k != 40 {
+            recorder.take(live("third", k));
+        }
+    }
+    drop(recorder);
+    disk_thread_of(config, &health).run(&disk);
+    let session = SessionReader::open(&sessions(folder.path())[0]).unwrap();
+    let marked = session.frames(&cameras[1]).unwrap();
+    let marked = marked.filter(|f| f.flags.contains(FrameFlags::AFTER_LOSS));
+    assert_eq!(marked.map(|f| f.frame.stamp.frame).collect::<Vec<_>>(), [23, 41]);
+    let verified = session.verify();
+    let holes = Holes { places: 2, frames: 4 };
+    assert_eq!(verified.frames, 108);
+    assert_eq!(
+        verified.holes.into_iter().collect::<Vec<_>>(),
+        [(cameras[1].clone(), holes)]
     );
 }
 

@@ -13,7 +13,7 @@ use crate::time::{ArrivalTime, DeviceTime, StampedMidpoint};
 pub struct FrameFlags(pub u32);
 
 impl FrameFlags {
-    /// The camera or the host lost frames right before this one.
+    /// Frames that the camera has taken are missing right before this one, whoever lost them.
     pub const AFTER_LOSS: Self = Self(1);
 
     /// Whether all bits of `other` are set.

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::damage::{Damage, LostFrames};
 use super::error::RecordingError;
 use super::frame_file::FileEntry;
-use super::frame_info::RecordedFrame;
+use super::frame_info::{FrameFlags, RecordedFrame};
 use super::layout::{
     CALIBRATION_ATTACHMENT, FORMAT_VERSION, INFO_CHANNEL, RIG_ATTACHMENT, SESSION_FILE, parse_camera_file,
     part_of,
@@ -308,14 +308,43 @@ impl SessionReader {
         self.damage_map().values().cloned().collect()
     }
 
-    /// Reads every frame of every camera, so that [`SessionReader::damage`] is complete; returns the frames
-    /// that are whole.
-    pub fn verify(&self) -> u64 {
-        self.cameras
-            .iter()
-            .map(|c| CameraFrames::new(&c.recording.id, &c.segments, Arc::clone(&self.damage)).count() as u64)
-            .sum()
+    /// Reads every frame of every camera, so that [`SessionReader::damage`] is complete.
+    pub fn verify(&self) -> Verified {
+        let mut verified = Verified::default();
+        for camera in &self.cameras {
+            let id = &camera.recording.id;
+            let mut last = None;
+            for read in CameraFrames::new(id, &camera.segments, Arc::clone(&self.damage)) {
+                verified.frames += 1;
+                let number = read.frame.stamp.frame;
+                if read.flags.contains(FrameFlags::AFTER_LOSS) {
+                    let holes = verified.holes.entry(id.clone()).or_default();
+                    holes.places += 1;
+                    holes.frames += last.map_or(0, |last| number.saturating_sub(last).saturating_sub(1));
+                }
+                last = Some(number);
+            }
+        }
+        verified
     }
+}
+
+/// What a session holds, every frame read.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Verified {
+    /// Frames that are whole.
+    pub frames: u64,
+    /// Per camera what the recorder has marked as missing.
+    pub holes: BTreeMap<CameraId, Holes>,
+}
+
+/// Frames that were never recorded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize)]
+pub struct Holes {
+    /// Gaps.
+    pub places: u64,
+    /// Frames missing in them, by their numbers.
+    pub frames: u64,
 }
 
 fn list(folder: &Path) -> Result<Vec<String>, RecordingError> {
