@@ -5,11 +5,9 @@
 use std::net::Ipv4Addr;
 use std::time::{Duration, Instant};
 
-use pitchd::capture::aravis::{
-    CameraAddress, CameraMemory, FeatureValue, LiveCamera, LiveFrame, LiveOptions, Next, Ptp,
-};
+use pitchd::capture::aravis::{CameraAddress, CameraMemory, LiveCamera, LiveFrame, LiveOptions, Next, Ptp};
 use pitchd::emulation::{Drill, Emulator, EmulatorOptions, Faults, ScriptShape, pattern};
-use pitchd::scene::CameraId;
+use pitchd::scene::{CameraId, FeatureValue};
 use pitchd::time::{PtpDomain, SystemClock};
 
 const SHAPE: ScriptShape = ScriptShape {

@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::{ConfigError, line_of};
-use crate::capture::aravis::FeatureValue;
-use crate::scene::CameraId;
+use crate::scene::{CameraId, FeatureValue};
 
 /// One camera's connection.
 #[derive(Debug, Clone, PartialEq)]

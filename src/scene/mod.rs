@@ -7,6 +7,7 @@
 mod calibration;
 mod camera;
 mod detection;
+mod feature;
 mod field;
 mod frame;
 mod pitch;
@@ -18,6 +19,7 @@ pub use calibration::{
 };
 pub use camera::{CameraId, CameraIdError};
 pub use detection::Detection;
+pub use feature::FeatureValue;
 pub use field::{FieldPreset, UnknownLandmark};
 pub use frame::{Frame, FrameStamp};
 pub use pitch::{FlightSample, Outlook, Pitch, PitchQuality, PitchSigma, StatcastRow};

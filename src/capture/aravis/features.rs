@@ -6,30 +6,7 @@ use aravis::prelude::*;
 
 use super::error::LiveError;
 use super::options::LiveOptions;
-
-/// A feature's value.
-#[derive(Debug, Clone, PartialEq)]
-pub enum FeatureValue {
-    /// Of a boolean feature; `true` executes a command.
-    Switch(bool),
-    /// Of an integer feature.
-    Integer(i64),
-    /// Of a floating-point feature.
-    Float(f64),
-    /// Of a text or an enumeration.
-    Text(String),
-}
-
-impl std::fmt::Display for FeatureValue {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Switch(value) => write!(f, "{value}"),
-            Self::Integer(value) => write!(f, "{value}"),
-            Self::Float(value) => write!(f, "{value:?}"),
-            Self::Text(value) => write!(f, "{value:?}"),
-        }
-    }
-}
+use crate::scene::FeatureValue;
 
 /// Sets the features asked for, in their order.
 ///

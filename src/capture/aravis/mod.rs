@@ -31,7 +31,6 @@ pub use camera::{
 };
 pub use description::DescriptionError;
 pub use error::LiveError;
-pub use features::FeatureValue;
 pub use ffi::{ListedDevice, enable_fake_camera, list_near_devices, make_this_thread_realtime};
 pub use options::{CameraAddress, LiveOptions, PacketPath, Ptp, UsbMode};
 pub use place::Place;

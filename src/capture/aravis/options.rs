@@ -2,8 +2,7 @@
 
 use std::net::Ipv4Addr;
 
-use super::features::FeatureValue;
-use crate::scene::CameraId;
+use crate::scene::{CameraId, FeatureValue};
 use crate::time::PtpDomain;
 
 /// What tells a camera from all others. At least one must be given; all that are given must hold.
