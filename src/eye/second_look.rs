@@ -12,6 +12,10 @@ use crate::tracking::{TrackKind, TrackShape, TrackedBall, TrackerConfig, polish,
 const REFINED_FLOOR_PX: f64 = 0.2;
 /// Refined centres of a ball are no further than this from a smooth path (rms, pixels).
 const REFINED_ROUGHNESS_MAX_PX: f64 = 0.5;
+/// ... and of a short path, to which a curve bends easily, no further than this or so many of its σ: a bird's wings beat.
+const SHORT_ROUGHNESS_MAX_PX: f64 = 0.2;
+const SHORT_ROUGHNESS_SIGMAS: f64 = 2.5;
+const SHORT_S: f64 = 0.25;
 /// Earlier balls that vote on which way pitches go.
 const SHAPES_KEPT: usize = 60;
 /// Points over which a step is averaged.
@@ -108,7 +112,7 @@ impl SecondLook {
                 ball.shape = shape;
                 ball.kind = shape.kind(&self.tracker_config);
             }
-            if refinement.fitted < refinement.left || ball.shape.roughness_px > REFINED_ROUGHNESS_MAX_PX {
+            if refinement.fitted < refinement.left || ball.shape.roughness_px > roughness_max_px(&ball) {
                 ball.kind = TrackKind::Rough;
             }
         }
@@ -139,6 +143,18 @@ impl SecondLook {
             .map(|(ball, _)| ball.track)
             .collect()
     }
+}
+
+/// The largest departure from a smooth path that a ball's refined centres may have.
+fn roughness_max_px(ball: &TrackedBall) -> f64 {
+    if ball.shape.span_s > SHORT_S {
+        return REFINED_ROUGHNESS_MAX_PX;
+    }
+    let points = ball.track.points.iter();
+    let variances = points.filter_map(|p| Some(0.5 * p.covariance_px2?.trace()));
+    let count = ball.track.points.len().max(1) as f64;
+    let sigma_px = (variances.sum::<f64>() / count).sqrt();
+    (SHORT_ROUGHNESS_SIGMAS * sigma_px).clamp(SHORT_ROUGHNESS_MAX_PX, REFINED_ROUGHNESS_MAX_PX)
 }
 
 /// What the first look should know: the shortest step between frames, the length along the motion, the middle.
