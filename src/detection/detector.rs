@@ -1,6 +1,7 @@
 //! One camera's detector: takes frames in time order, answers each a few frames later.
 
 use super::blobs::{Blob, BlobFinder, Images, LARGE_SIDE_PX};
+use super::bodies::Bodies;
 use super::candidates::{apart, candidate, look_at, small_ball};
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
@@ -100,6 +101,7 @@ pub struct Detector {
     tile_hits: Vec<bool>,
     tiles: TileMap,
     blobs: BlobFinder,
+    bodies: Bodies,
     movers: MoverSearch,
     found: Vec<(Detection, Blob, Behind)>,
     expected: Vec<ExpectedBall>,
@@ -131,6 +133,7 @@ impl Detector {
             tile_hits: vec![false; width.div_ceil(TILE_WIDTH_PX)],
             tiles: TileMap::new(width, height),
             blobs: BlobFinder::new(width, Kernels::new(isa)),
+            bodies: Bodies::new(width, height),
             movers: MoverSearch::new(width, Kernels::new(isa)),
             found: Vec::with_capacity(1024),
             expected: Vec::with_capacity(64),
@@ -296,8 +299,8 @@ impl Detector {
         // Out of `self` for now: the images borrow from it while the rest of `self` works.
         let history = std::mem::take(&mut self.history);
         if let Some(triple) = history.triple(index, self.lag, ended) {
-            let step = self.lag.div_ceil(2).min(NEAR_FRAMES_MAX);
-            self.answer(&triple, history.near(index, step), answers);
+            let near = history.near(index, near_step(self.lag));
+            self.answer(&triple, near, answers);
         } else {
             self.counters.unanswered += 1;
         }
@@ -328,6 +331,9 @@ impl Detector {
             other: other.bytes(),
             ..images
         });
+        if let Some(near) = &near {
+            self.look_before_bodies(near, stamp);
+        }
         self.find_blobs(&images);
         self.look_into_blobs(&images, near.as_ref(), stamp);
         self.expected.clear();
@@ -364,6 +370,21 @@ impl Detector {
         blobs.truncate(self.config.candidates_max);
     }
 
+    /// Spots in front of large bodies, where there are many; their tiles are not searched further.
+    fn look_before_bodies(&mut self, near: &Images<'_>, stamp: FrameStamp) {
+        self.bodies.find(&mut self.tiles, self.height_px);
+        for body in &self.bodies.large {
+            let (band, column) = body.middle();
+            let sigma = self.noise.difference_sigma(band, column);
+            let limits = spot_limits(&self.config, self.lag, sigma);
+            let tiles = self.bodies.runs(body);
+            for (moments, spot) in self.movers.find_in_front(near, tiles, limits, sigma) {
+                let found = candidate(&self.config, stamp, &moments);
+                self.found.extend(found.map(|found| (found, spot, Behind::Near)));
+            }
+        }
+    }
+
     /// Small blobs are candidates; in larger ones spots in front of what moves are.
     fn look_into_blobs(&mut self, images: &Images<'_>, near: Option<&Images<'_>>, stamp: FrameStamp) {
         let (mut large, mut mixed) = (LARGE_BLOBS_MAX, MIXED_BLOBS_MAX);
@@ -386,10 +407,8 @@ impl Detector {
                 continue;
             };
             *budget = left;
-            let sigmas = 0.5 * self.config.threshold_sigmas * f64::from(blob.difference_sigma);
-            let threshold = sigmas.clamp(1.0, 254.0) as u8;
-            let step = self.lag.div_ceil(2).min(NEAR_FRAMES_MAX);
-            for (moments, spot) in self.movers.find(near, blob, step + 1, threshold) {
+            let limits = spot_limits(&self.config, self.lag, blob.difference_sigma);
+            for (moments, spot) in self.movers.find(near, blob, limits) {
                 if let Some(found) = candidate(&self.config, stamp, &moments)
                     && whole.is_none_or(|whole| apart(&whole, &found))
                 {
@@ -423,4 +442,15 @@ impl Detector {
             }
         }
     }
+}
+
+/// Frames before and after that show what moves behind a ball.
+fn near_step(lag: usize) -> usize {
+    lag.div_ceil(2).min(NEAR_FRAMES_MAX)
+}
+
+/// How far what moves behind a ball may have moved, and what a spot in front of it has to change by.
+fn spot_limits(config: &DetectorConfig, lag: usize, difference_sigma: f32) -> (usize, u8) {
+    let sigmas = 0.5 * config.threshold_sigmas * f64::from(difference_sigma);
+    (near_step(lag) + 1, sigmas.clamp(1.0, 254.0) as u8)
 }

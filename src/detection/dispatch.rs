@@ -1,6 +1,7 @@
 //! Chooses the instruction set of the pixel loops at run time; the only file of the room with `unsafe`.
 #![allow(unsafe_code)]
 
+use super::fronts::{self, TILES_MAX, TileRun};
 use super::kernel::{self, WindowSums};
 use super::lanes::{Look, PixelLanes, Sums};
 use super::packing::{self, Packing};
@@ -73,6 +74,19 @@ pub fn top_bits(flags: &[u8; 16]) -> u16 {
         let low = |eight: u64| kernel::low_bits(((eight >> 7) & 0x0101_0101_0101_0101).to_le_bytes()) as u16;
         low(value as u64) | low((value >> 64) as u64) << 8
     }
+}
+
+/// Asks for the memory at a place of an image ahead of its use; nothing where the image has no such place.
+#[inline(always)]
+pub fn fetch_ahead(image: &[u8], at: usize) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(level) = image.get(at) {
+        use std::arch::x86_64::{_MM_HINT_T0, _mm_prefetch};
+        // SAFETY: every x86-64 has SSE, and nothing is read.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(level).cast::<i8>()) }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (image, at);
 }
 
 macro_rules! dispatched {
@@ -181,4 +195,9 @@ dispatched!(
     packing:
     /// See [`packing::unpack`].
     unpack(packing: Packing, packed: &[u8], levels: &mut [u8])
+);
+dispatched!(
+    fronts:
+    /// See [`fronts::rows_in_front`].
+    rows_in_front(images: (&[u8], &[u8], &[u8]), size: (usize, usize), run: TileRun, limits: (usize, u8)) -> [u8; TILES_MAX]
 );

@@ -9,11 +9,11 @@ use nalgebra::Vector2;
 use super::blobs::{Blob, Images};
 use super::centroid::{Moments, Sums};
 use super::dispatch::Kernels;
+use super::fronts::{ROW_STEP, TileRun, fetch_run};
+use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 
 /// A spot within a blob is a ball's from this many pixels.
 const SPOT_AREA_MIN_PX: usize = 3;
-/// Of a large blob every second row is read: a ball has several.
-const ROW_STEP: usize = 2;
 /// Spots answered for one blob, the strongest.
 const SPOTS_MAX: usize = 6;
 /// Spots tracked while a blob is read; a pattern that yields more is no player.
@@ -24,6 +24,9 @@ const SPOT_GAP_PX: usize = 2;
 const SPOT_SIDE_MAX_PX: usize = 40;
 /// Rows of a blob that are read: a higher one is not searched below that.
 const ROWS_MAX: usize = 200;
+
+/// The memory of a body's tiles is asked for so many runs ahead.
+const RUNS_AHEAD: usize = 2;
 
 /// A spot while it is gathered.
 struct Spot {
@@ -65,6 +68,8 @@ pub struct MoverSearch {
     brightest: Vec<u8>,
     darkest: Vec<u8>,
     change: Vec<u8>,
+    runs: Vec<TileRun>,
+    rows: Vec<(usize, usize, u8)>,
     spots: Vec<Spot>,
 }
 
@@ -76,17 +81,19 @@ impl MoverSearch {
             brightest: vec![0; width_px],
             darkest: vec![0; width_px],
             change: vec![0; width_px],
+            runs: Vec::with_capacity(1024),
+            rows: Vec::with_capacity(1024),
             spots: Vec::with_capacity(SPOTS_OPEN_MAX),
         }
     }
 
-    /// The strongest spots of a blob: where the change beyond `reach_px` exceeds `threshold`.
+    /// The strongest spots of a blob: where the change beyond `reach_px` exceeds `threshold`. Of a large blob every second
+    /// row is read: a ball has several.
     pub fn find(
         &mut self,
         near: &Images<'_>,
         blob: &Blob,
-        reach_px: usize,
-        threshold: u8,
+        (reach_px, threshold): (usize, u8),
     ) -> impl Iterator<Item = (Moments, Blob)> + '_ {
         self.spots.clear();
         let left = blob.left.saturating_sub(reach_px + 1);
@@ -98,7 +105,65 @@ impl MoverSearch {
                 break;
             }
         }
-        let sigma = blob.difference_sigma;
+        self.strongest(blob.difference_sigma)
+    }
+
+    /// The strongest spots in front of a large body, given by its tiles from top to bottom.
+    pub fn find_in_front(
+        &mut self,
+        near: &Images<'_>,
+        tiles: impl Iterator<Item = TileRun>,
+        (reach_px, threshold): (usize, u8),
+        difference_sigma: f32,
+    ) -> impl Iterator<Item = (Moments, Blob)> + '_ {
+        self.spots.clear();
+        let size = (near.width_px, near.height_px);
+        self.rows.clear();
+        self.runs.clear();
+        self.runs.extend(tiles);
+        for (index, run) in self.runs.iter().enumerate() {
+            if let Some(later) = self.runs.get(index + RUNS_AHEAD) {
+                fetch_run(near.levels(), near.width_px, *later);
+            }
+            let found = self
+                .kernels
+                .rows_in_front(near.levels(), size, *run, (reach_px, threshold));
+            for (tile, rows) in found.iter().enumerate().filter(|(_, rows)| **rows != 0) {
+                self.rows.push((run.band, run.column + tile, *rows));
+            }
+        }
+        let rows = std::mem::take(&mut self.rows);
+        for band in rows.chunk_by(|a, b| a.0 == b.0) {
+            if !self.take_band(near, band, (reach_px, threshold)) {
+                break;
+            }
+        }
+        self.rows = rows;
+        self.strongest(difference_sigma)
+    }
+
+    /// Decides pixel by pixel in the rows found of the tiles of one band; `false` where there are too many spots.
+    fn take_band(
+        &mut self,
+        near: &Images<'_>,
+        tiles: &[(usize, usize, u8)],
+        (reach_px, threshold): (usize, u8),
+    ) -> bool {
+        for row in 0..TILE_HEIGHT_PX / ROW_STEP {
+            for (band, column, _) in tiles.iter().filter(|tile| tile.2 >> row & 1 != 0) {
+                let (x, y) = (column * TILE_WIDTH_PX, band * TILE_HEIGHT_PX + ROW_STEP * row);
+                let columns = x.saturating_sub(reach_px)..(x + TILE_WIDTH_PX + reach_px).min(near.width_px);
+                if self.read_row(near, y, columns.clone(), reach_px) > threshold
+                    && !self.take_row(y, columns, threshold)
+                {
+                    return false;
+                }
+            }
+        }
+        true
+    }
+
+    fn strongest(&mut self, sigma: f32) -> impl Iterator<Item = (Moments, Blob)> + '_ {
         let spots = &mut self.spots;
         spots.retain(|spot| {
             let side = (spot.right - spot.left).max(spot.bottom - spot.top);

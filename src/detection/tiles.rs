@@ -31,6 +31,24 @@ impl TileMap {
         }
     }
 
+    /// Moves the tiles of one band from one column to another here.
+    pub fn take_from(&mut self, from: &mut TileMap, band: usize, (first, last): (usize, usize)) {
+        let begin = band * self.words_per_band;
+        let all = begin..begin + self.words_per_band;
+        let (Some(here), Some(there)) = (self.words.get_mut(all.clone()), from.words.get_mut(all)) else {
+            return;
+        };
+        for (i, (here, there)) in here.iter_mut().zip(there).enumerate() {
+            let from = |column: usize| match column.saturating_sub(64 * i) {
+                bit @ 0..64 => u64::MAX << bit,
+                _ => 0,
+            };
+            let moved = *there & from(first) & !from(last + 1);
+            *here |= moved;
+            *there &= !moved;
+        }
+    }
+
     /// Makes this the tiles set in both, or in the one that is there.
     pub fn set_both(&mut self, one: Option<&TileMap>, other: Option<&TileMap>) {
         match (one, other) {
