@@ -1,9 +1,11 @@
 //! Arguments in, exit code out.
 
+use std::io::IsTerminal;
 use std::process::ExitCode;
 
 use clap::Parser;
 use pitchd::cli::Cli;
+use pitchd::cli::log_queue::LogQueue;
 use tracing_subscriber::EnvFilter;
 
 fn main() -> ExitCode {
@@ -14,13 +16,23 @@ fn main() -> ExitCode {
         _ => "debug",
     };
     let filter = EnvFilter::try_from_env("PITCHD_LOG").unwrap_or_else(|_| EnvFilter::new(level));
+    let log = match LogQueue::start(std::io::stderr()) {
+        Ok(log) => log,
+        Err(error) => {
+            pitchd::cli::terminal::tell(format_args!("pitchd: error: no thread for the log: {error}\n"));
+            return ExitCode::FAILURE;
+        }
+    };
     tracing_subscriber::fmt()
         .with_env_filter(filter)
-        .with_writer(std::io::stderr)
+        .with_writer(log.clone())
+        .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         .without_time()
         .init();
-    match cli.run() {
+    let done = cli.run();
+    log.finish();
+    match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             pitchd::cli::terminal::tell(format_args!("pitchd: error: {}\n", one_line(&error)));

@@ -2,6 +2,7 @@
 
 #[macro_use]
 pub mod terminal;
+pub mod log_queue;
 
 mod cameras;
 mod check;
