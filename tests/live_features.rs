@@ -43,6 +43,7 @@ fn frame(camera: &mut LiveCamera, memory: &mut CameraMemory) -> Option<LiveFrame
     let until = Instant::now() + Duration::from_secs(2);
     while Instant::now() < until {
         if let Next::Frame(frame) = camera.next(memory, &SystemClock, Duration::from_millis(100)) {
+            camera.look_at_clock();
             return Some(frame);
         }
     }

@@ -102,6 +102,7 @@ fn watch(mut live: LiveCamera, memory: &mut CameraMemory, (what, asked_hz): (&st
                     until = Instant::now() + WATCHED;
                 }
                 came.frames += 1;
+                live.look_at_clock();
                 came.first.get_or_insert(frame.frame.stamp.stamped);
                 came.last = Some(frame.frame.stamp.stamped);
             }

@@ -15,6 +15,7 @@ use super::looker::SeenTrack;
 use super::recorder::ClipTrigger;
 use crate::flight::is_far_off;
 use crate::scene::{Calibration, CameraId, Pitch, Rig, Track};
+use crate::time::is_of_network;
 use crate::time::{ArrivalTime, StampedMidpoint};
 
 /// When pitches are calibrated from.
@@ -77,6 +78,8 @@ pub struct Assembler {
 #[derive(Default)]
 struct Desk {
     open: Vec<Ball>,
+    /// Balls that one camera alone has told of, lately.
+    alone: Vec<Ball>,
     window: VecDeque<Ball>,
     numbers: u32,
     since_calibration: usize,
@@ -84,6 +87,15 @@ struct Desk {
     version: u32,
     /// Balls since the last calibration that it did not explain.
     misfits: usize,
+}
+
+impl Desk {
+    /// What was tried with another calibration is tried again.
+    fn forget_solutions(&mut self) {
+        for ball in self.open.iter_mut().filter(|b| !b.published) {
+            ball.solved = None;
+        }
+    }
 }
 
 impl Assembler {
@@ -132,10 +144,44 @@ impl Assembler {
     }
 
     fn take(&self, seen: SeenTrack, desk: &mut Desk) {
-        match desk.open.iter_mut().find(|ball| ball.may_have(&seen.track)) {
-            Some(ball) => ball.add(seen),
+        if let Some(ball) = desk.open.iter_mut().find(|ball| ball.may_have(&seen.track)) {
+            ball.add(seen);
+            return;
+        }
+        // A camera that stood still, or was lost, tells late of a ball that the others have told of: no second pitch.
+        let late = |ball: &Ball| ball.lacks(&seen.track.camera) && ball.may_have(&seen.track);
+        if let Some(index) = desk.window.iter().position(late) {
+            self.take_late(seen, desk, index);
+            return;
+        }
+        desk.alone.retain(|ball| !ball.is_old());
+        match desk
+            .alone
+            .iter()
+            .position(|ball| ball.lacks(&seen.track.camera) && ball.may_have(&seen.track))
+        {
+            Some(index) => {
+                let mut ball = desk.alone.swap_remove(index);
+                ball.add(seen);
+                desk.open.push(ball);
+            }
             None => desk.open.extend(Ball::new(seen)),
         }
+    }
+
+    /// A track of a ball of the window, which has been closed.
+    fn take_late(&self, seen: SeenTrack, desk: &mut Desk, index: usize) {
+        let Some(mut ball) = desk.window.remove(index) else {
+            return;
+        };
+        tracing::info!(camera = %seen.track.camera, published = ball.published, "a track of a ball that was closed");
+        ball.add(seen);
+        if !ball.published {
+            self.solve(&mut ball);
+            self.publish(&mut ball, desk, Wait::ForCalibration);
+        }
+        ball.solved = None;
+        desk.window.insert(index, ball);
     }
 
     /// How far the cameras that send frames have been watched.
@@ -181,6 +227,7 @@ impl Assembler {
             let track = ball.tracks().first();
             let track = track.map(|t| (t.track.camera.to_string(), t.track.points.len()));
             tracing::info!(?track, "a ball that one camera alone has seen");
+            desk.alone.push(ball);
             return;
         }
         self.ask_for_clip(&ball);
@@ -331,9 +378,13 @@ impl Assembler {
         let epochs = Self::current_epochs(desk);
         let (calibration, mut of_file) = from_file(calibration);
         for (camera, epoch) in &mut of_file {
-            *epoch = epochs.get(camera).copied().unwrap_or(*epoch);
+            let now = epochs.get(camera).copied().unwrap_or(*epoch);
+            if is_of_network(now) == is_of_network(*epoch) {
+                *epoch = now;
+            }
         }
         self.calibration = Some((calibration, of_file));
+        desk.forget_solutions();
         self.tell_calibration();
     }
 
@@ -359,6 +410,7 @@ impl Assembler {
             tracing::error!("a calibration could not be handed on to be kept");
         }
         self.calibration = Some((calibration, answer.epochs));
+        desk.forget_solutions();
         self.tell_calibration();
         // What could not be solved before is solved now.
         let mut window = std::mem::take(&mut desk.window);
@@ -393,3 +445,7 @@ enum Wait {
     Live,
     ForCalibration,
 }
+
+#[cfg(test)]
+#[path = "assemble_tests.rs"]
+mod tests;

@@ -15,6 +15,9 @@ const DECIDED_S: f64 = 0.4;
 /// A camera that lags behind the others by more than this is not waited for.
 const PATIENCE: Duration = Duration::from_secs(5);
 
+/// A camera that was lost tells of what it last saw when it is back; later than this it has forgotten.
+const OLD: Duration = Duration::from_secs(60);
+
 /// How far a camera that sends frames has been watched, in its own stamps.
 #[derive(Debug, Clone)]
 pub struct Watched {
@@ -105,6 +108,16 @@ impl Ball {
     /// Arrival of the last frame that its tracks needed.
     pub fn complete(&self) -> Option<ArrivalTime> {
         self.tracks.iter().map(|t| t.complete).max()
+    }
+
+    /// Whether this camera has not told of it.
+    pub fn lacks(&self, camera: &CameraId) -> bool {
+        !self.has(camera)
+    }
+
+    /// Whether no camera will still tell of it.
+    pub fn is_old(&self) -> bool {
+        self.newest.elapsed() > OLD
     }
 
     fn has(&self, camera: &CameraId) -> bool {

@@ -7,6 +7,7 @@ use crossbeam_channel::{Receiver, Sender};
 
 use super::batch::{BatchOptions, solve_tracks};
 use crate::scene::{Calibration, CameraId, ParameterKind, Rig, Track, WorldFrame};
+use crate::time::is_of_network;
 
 /// Clock epoch per camera.
 pub type Epochs = BTreeMap<CameraId, u32>;
@@ -47,6 +48,9 @@ pub fn calibrate(rig: &Rig, requests: &Receiver<CalibrationRequest>, answers: &S
             Ok(batch) => {
                 let mut calibration = batch.calibration;
                 calibration.version = request.version;
+                for camera in &mut calibration.cameras {
+                    camera.network_clock = request.epochs.get(&camera.id).is_some_and(|e| is_of_network(*e));
+                }
                 tracing::info!(
                     pitches = batch.flights.len(),
                     seconds = begun.elapsed().as_secs_f64(),
@@ -67,7 +71,8 @@ pub fn calibrate(rig: &Rig, requests: &Receiver<CalibrationRequest>, answers: &S
     }
 }
 
-/// A calibration that was read from a file as it holds for live stamps, and for which clock epochs: each camera's first.
+/// A calibration that was read from a file as it holds for live stamps, and for which clock epochs: the
+/// network's clock where it was made by that, else each camera's own first.
 ///
 /// Live stamps are on this host's clock, so there is no skew between them; a skew that another session had would move a
 /// delay that is stated hours ago by seconds.
@@ -90,6 +95,10 @@ pub fn from_file(mut calibration: Calibration) -> CalibrationInUse {
     calibration
         .parameters
         .retain(|p| p.kind != ParameterKind::ClockSkew);
-    let epochs = calibration.cameras.iter().map(|c| (c.id.clone(), 0)).collect();
+    let epoch_of = |network_clock: bool| if network_clock { 0 } else { 1 };
+    let cameras = calibration.cameras.iter();
+    let epochs = cameras
+        .map(|c| (c.id.clone(), epoch_of(c.network_clock)))
+        .collect();
     (calibration, epochs)
 }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
-use std::io::Write;
+use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use crossbeam_channel::Receiver;
@@ -40,10 +40,46 @@ pub fn keep(folder: &Path, pitches: &Receiver<KeptPitch>, versions: &Receiver<Ca
     }
 }
 
-/// Number of the last pitch in a results folder; 0 without one.
+/// Number of the last pitch in a results folder; 0 without one. A line that a power cut has torn is told of and left out.
 pub fn last_number(folder: &Path) -> u32 {
-    let pitches = results::read_pitches(&folder.join("pitches.jsonl")).unwrap_or_default();
-    pitches.iter().map(|p| p.pitch).max().unwrap_or(0)
+    let path = folder.join("pitches.jsonl");
+    let bytes = std::fs::read(&path).unwrap_or_default();
+    let text = String::from_utf8_lossy(&bytes);
+    let mut last = 0;
+    for (k, line) in text
+        .lines()
+        .enumerate()
+        .filter(|(_, line)| !line.trim().is_empty())
+    {
+        match serde_json::from_str::<Numbered>(line) {
+            Ok(numbered) => last = last.max(numbered.pitch),
+            Err(error) => tracing::warn!("{}:{}: no pitch: {error}", path.display(), k + 1),
+        }
+    }
+    last
+}
+
+/// What is read of a pitch that was written before.
+#[derive(serde::Deserialize)]
+struct Numbered {
+    pitch: u32,
+}
+
+/// Opens a file of lines to add to; a last line that was torn is ended.
+fn open_lines(path: &Path) -> std::io::Result<File> {
+    let mut file = OpenOptions::new()
+        .create(true)
+        .append(true)
+        .read(true)
+        .open(path)?;
+    let mut last = [b'\n'];
+    if file.seek(SeekFrom::End(-1)).is_ok() {
+        file.read_exact(&mut last)?;
+    }
+    if last != *b"\n" {
+        file.write_all(b"\n")?;
+    }
+    Ok(file)
 }
 
 struct Keeper {
@@ -68,9 +104,7 @@ impl Keeper {
             Some(file) => file,
             None => {
                 std::fs::create_dir_all(&self.folder)?;
-                let path = self.folder.join("pitches.jsonl");
-                self.file
-                    .insert(OpenOptions::new().create(true).append(true).open(path)?)
+                self.file.insert(open_lines(&self.folder.join("pitches.jsonl"))?)
             }
         };
         file.write_all(line.as_bytes())?;
@@ -118,5 +152,28 @@ impl Keeper {
                 calibration.version
             );
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_torn_line_costs_itself_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(last_number(folder.path()), 0);
+        let path = folder.path().join("pitches.jsonl");
+        std::fs::write(&path, "{\"pitch\": 7}\n{\"pitch\": 8}\n{\"pitch\": 9, \"cam").unwrap();
+        assert_eq!(last_number(folder.path()), 8);
+        let mut keeper = Keeper::new(folder.path());
+        keeper.append("{\"pitch\": 9}\n").unwrap();
+        keeper.append("{\"pitch\": 10}\n").unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        assert!(
+            text.ends_with("\"cam\n{\"pitch\": 9}\n{\"pitch\": 10}\n"),
+            "{text}"
+        );
+        assert_eq!(last_number(folder.path()), 10);
     }
 }

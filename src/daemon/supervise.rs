@@ -172,6 +172,9 @@ impl Supervisor {
                     }
                     self.record(&frame, &camera);
                     self.hand_on(frame);
+                    if !self.health.in_flight.load(Ordering::Relaxed) {
+                        camera.look_at_clock();
+                    }
                 }
                 unusable @ (Next::Incomplete | Next::Misshapen(_)) => {
                     heard = Instant::now();

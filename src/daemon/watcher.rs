@@ -112,7 +112,7 @@ impl Watcher<'_> {
         self.health.latency.add_since_ns(self.last_arrival.nanos());
         let open = eye.open();
         let flying = eye.flying(&open);
-        let follows = !open.is_empty();
+        let follows = eye.follows(&open);
         self.health.in_flight.store(follows, Ordering::Relaxed);
         self.tell_of_flights(open);
         for flying in flying {

@@ -87,12 +87,14 @@ impl DeviceClock {
         }
     }
 
-    /// Where it stands with the network's clock.
-    pub fn ptp_state(&self, now: Instant) -> PtpState {
+    /// Where it stands with the network's clock, and how far it is from it, nanoseconds: a camera says that it follows
+    /// before its clock has come quite near.
+    pub fn ptp_state(&self, now: Instant) -> (PtpState, u32) {
         match self.follows {
-            None => PtpState::Disabled,
-            Some((since, _)) if now < since + SYNCHRONISES => PtpState::Uncalibrated,
-            Some(_) => PtpState::Slave,
+            None => (PtpState::Disabled, 0),
+            Some((since, _)) if now < since + SYNCHRONISES / 2 => (PtpState::Uncalibrated, 0),
+            Some((since, _)) if now < since + SYNCHRONISES => (PtpState::Slave, 1_500_000),
+            Some(_) => (PtpState::Slave, 0),
         }
     }
 }
@@ -121,16 +123,18 @@ mod tests {
         for clock in &mut clocks {
             clock.follow(now, Some(0.0));
         }
-        assert_eq!(clocks[0].ptp_state(now + s(1)), PtpState::Uncalibrated);
+        assert_eq!(clocks[0].ptp_state(now).0, PtpState::Uncalibrated);
+        // It says so a second before its clock is the network's.
+        assert_eq!(clocks[0].ptp_state(now + s(1)), (PtpState::Slave, 1_500_000));
         assert_eq!(clocks[0].ticks(now + s(1)), 101_000_050_000);
-        assert_eq!(clocks[0].ptp_state(now + s(3)), PtpState::Slave);
+        assert_eq!(clocks[0].ptp_state(now + s(3)), (PtpState::Slave, 0));
         let at = clocks.map(|c| c.ticks(now + s(3)));
         assert_eq!(at[0], at[1]);
         let host = SystemClock.monotonic().nanos() + 3_000_000_000 + NETWORK_NS;
         assert!((at[0] as i64 - host).abs() < 1_000_000_000, "{at:?} at {host}");
         // It goes on from there by its own crystal.
         clocks[0].follow(now + s(3), None);
-        assert_eq!(clocks[0].ptp_state(now + s(4)), PtpState::Disabled);
+        assert_eq!(clocks[0].ptp_state(now + s(4)).0, PtpState::Disabled);
         let passed = clocks[0].ticks(now + s(4)) as i64 - at[0] as i64;
         // A double has TAI nanoseconds to 256 ns.
         assert!((passed - 1_000_050_000).abs() < 1024, "{passed}");

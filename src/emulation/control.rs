@@ -10,7 +10,9 @@ use rand_pcg::Pcg64;
 use super::camera::{PATIENCE, Shared, lock};
 use super::gvcp::{Answer, Command, Refusal, Request};
 use super::mangle::spoil_answer;
-use super::registers::{Effect, HEARTBEAT_MS, PRIVILEGE, PTP_STATUS, RegisterBank, TIMESTAMP_HIGH};
+use super::registers::{
+    Effect, HEARTBEAT_MS, PRIVILEGE, PTP_OFFSET_NS, PTP_STATUS, RegisterBank, TIMESTAMP_HIGH,
+};
 use super::sender::Order;
 
 /// The program that holds the camera.
@@ -175,8 +177,9 @@ fn act(shared: &Shared, bank: &mut RegisterBank, effect: Effect, orders: &Channe
             return;
         }
         Effect::LatchPtp => {
-            let state = lock(&shared.clock).ptp_state(Instant::now());
+            let (state, offset_ns) = lock(&shared.clock).ptp_state(Instant::now());
             bank.set32(PTP_STATUS, state as u32);
+            bank.set32(PTP_OFFSET_NS, offset_ns);
             return;
         }
         Effect::Reboot => {

@@ -7,7 +7,7 @@ use super::gvsp::PIXEL_FORMAT_MONO8;
 use super::registers::{
     ACQUISITION, ACQUISITION_MODE, DEVICE_RESET, EXPOSURE_US, GAIN_DB, HEARTBEAT_MS, HEIGHT, Identity,
     LINK_MBPS, MODEL, OFFSET_X, OFFSET_Y, PACKET_DELAY, PACKET_SIZE, PAYLOAD_BYTES, PIXEL_FORMAT, PTP_ENABLE,
-    PTP_LATCH, PTP_STATUS, RATE, SENSOR_HEIGHT, SENSOR_WIDTH, STREAM_ADDRESS, STREAM_PORT,
+    PTP_LATCH, PTP_OFFSET_NS, PTP_STATUS, RATE, SENSOR_HEIGHT, SENSOR_WIDTH, STREAM_ADDRESS, STREAM_PORT,
     STREAM_SOURCE_PORT, TICK_HIGH, TIMESTAMP_CONTROL, TIMESTAMP_HIGH, TRIGGER_MODE, VENDOR, WIDTH,
 };
 
@@ -26,6 +26,7 @@ const CATEGORIES: &[(&str, &[&str])] = &[
             "PtpEnable",
             "PtpDataSetLatch",
             "PtpStatus",
+            "PtpOffsetFromMaster",
         ],
     ),
     (
@@ -200,6 +201,7 @@ fn device_features(xml: &mut Xml) {
     xml.command("PtpDataSetLatch", "PtpDataSetLatchReg", 1);
     xml.int_register("PtpStatusReg", PTP_STATUS, 4, "RO");
     xml.choice("PtpStatus", "PtpStatusReg", &PtpState::ENTRIES);
+    xml.integer("PtpOffsetFromMaster", PTP_OFFSET_NS, "RO", "");
 }
 
 fn image_features(xml: &mut Xml, identity: &Identity) {

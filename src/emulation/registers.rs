@@ -94,7 +94,8 @@ pub(super) const DEVICE_RESET: u32 = FEATURES + 0x48;
 pub(super) const PTP_ENABLE: u32 = FEATURES + 0x4c;
 pub(super) const PTP_LATCH: u32 = FEATURES + 0x50;
 pub(super) const PTP_STATUS: u32 = FEATURES + 0x54;
-const FEATURE_BYTES: usize = 0x58;
+pub(super) const PTP_OFFSET_NS: u32 = FEATURES + 0x58;
+const FEATURE_BYTES: usize = 0x5c;
 
 /// Behind everything else: a description may have any size.
 const XML: u32 = 0x0100_0000;

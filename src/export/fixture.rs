@@ -230,6 +230,7 @@ pub(super) fn calibration() -> Calibration {
             capture_delay_sigma_s: if *id == "third" { 1.2e-5 } else { 0.0 },
             clock_skew_ppm: 0.0,
             skew_epoch_ns: 0,
+            network_clock: false,
             readout_s: 0.0,
             intrinsics: intrinsics(),
             width_px: 2048,

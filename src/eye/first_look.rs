@@ -166,6 +166,11 @@ impl FirstLook {
         self.tracker.open()
     }
 
+    /// Whether what may be a ball is being followed, or held back because it may go on.
+    pub fn follows(&self, open: &[OpenPath]) -> bool {
+        !open.is_empty() || self.tracker.holds_back()
+    }
+
     /// Takes what a second look has found of this camera's balls; it holds from the next window on.
     pub fn adapt(&mut self, ball: BallStep) {
         self.off_light_px = ball.off_light_px;

@@ -115,6 +115,7 @@ mod tests {
             capture_delay_sigma_s: 0.0,
             clock_skew_ppm: 0.0,
             skew_epoch_ns: 0,
+            network_clock: false,
             readout_s: 0.0,
             intrinsics: c.intrinsics,
             width_px: 2048,

@@ -310,6 +310,7 @@ mod tests {
             capture_delay_sigma_s: 0.0,
             clock_skew_ppm: 0.0,
             skew_epoch_ns: 0,
+            network_clock: false,
             readout_s: 0.0,
             intrinsics: Intrinsics {
                 fx_px: 1000.0,

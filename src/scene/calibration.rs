@@ -86,6 +86,9 @@ pub struct CameraCalibration {
     pub clock_skew_ppm: f64,
     /// Stamp at which τ is stated, nanoseconds.
     pub skew_epoch_ns: i64,
+    /// Whether the stamps that τ goes with were the network's (PTP) time, not the camera's own.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub network_clock: bool,
     /// Rolling-shutter readout, seconds; 0: global.
     pub readout_s: f64,
     /// The lens the poses go with.

@@ -17,7 +17,7 @@ mod ptp;
 
 pub use clock_model::{ClockEvent, ClockLine, ClockModel, ClockModelOptions, ClockReading};
 pub use host_clock::{HostClock, SystemClock};
-pub use ptp::{PtpDomain, PtpReading};
+pub use ptp::{PtpDomain, PtpReading, is_of_network};
 
 use serde::{Deserialize, Serialize};
 

@@ -17,7 +17,16 @@ const AHEAD_NS: i64 = 1_500_000_000;
 /// A clock model that knows less neither begins the scale nor steers it, seconds.
 const STEER_SIGMA_S: f64 = 0.1e-3;
 /// Arrivals of two cameras of one clock are not further apart than this: exposure, readout and transfer, seconds.
-const APART_S: f64 = 2e-3;
+const APART_S: f64 = 50e-3;
+/// No camera has been on the scale for so long, and the network's clock has another time: the scale begins anew.
+const ABANDONED_NS: i64 = 3_000_000_000;
+/// Epochs of the scale after the first, which is 0; a camera's own clock begins at 1.
+const LATER_SCALES: u32 = 1 << 31;
+
+/// Whether a clock epoch is of the common scale.
+pub fn is_of_network(epoch: u32) -> bool {
+    epoch == 0 || epoch >= LATER_SCALES
+}
 /// What is off is steered away over this time, and no faster than this rate.
 const STEER_OVER_S: f64 = 60.0;
 const STEER_MOST: f64 = 20e-6;
@@ -76,9 +85,34 @@ struct Scale {
     steered_ns: i64,
     /// What the steering camera's arrivals are late by on this scale, seconds: every camera has its own constant.
     steerer_late_s: f64,
+    /// Host time of the newest frame on it, nanoseconds.
+    newest_ns: i64,
+    epoch: u32,
 }
 
 impl Scale {
+    fn beginning(own: &OwnReading, epoch: u32) -> Self {
+        let first = Segment {
+            from_ns: own.device_ns,
+            host_ns: own.host_ns,
+            rate: own.rate,
+        };
+        Self {
+            before: first,
+            now: first,
+            steerer: own.camera.to_owned(),
+            steered_ns: own.device_ns,
+            steerer_late_s: 0.0,
+            newest_ns: own.host_ns,
+            epoch,
+        }
+    }
+
+    /// Seconds by which the camera's own clock model is after where the scale has its frame.
+    fn apart_s(&self, own: &OwnReading) -> f64 {
+        own.host_ns.saturating_sub(self.at(own.device_ns).host_ns) as f64 / NANOS_PER_SECOND
+    }
+
     fn at(&self, ptp_ns: i64) -> PtpPlace {
         let segment = if ptp_ns < self.now.from_ns {
             &self.before
@@ -93,7 +127,7 @@ impl Scale {
             return;
         }
         let since_ns = own.device_ns.saturating_sub(self.steered_ns);
-        let late_s = own.host_ns.saturating_sub(self.at(own.device_ns).host_ns) as f64 / NANOS_PER_SECOND;
+        let late_s = self.apart_s(own);
         if self.steerer != own.camera {
             if since_ns < STEERER_LOST_NS {
                 return;
@@ -129,9 +163,9 @@ impl PartialEq for PtpDomain {
 /// What becomes of a frame of a camera that says it follows the network's clock.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum PtpReading {
-    /// Its stamp on the common scale, in epoch 0: the scale outlives a camera's restart.
+    /// Its stamp on the common scale, in the scale's epoch: it outlives a camera's restart.
     OnScale(ClockReading),
-    /// There is no scale yet, and its own clock model does not know enough to begin one.
+    /// Its device time fits nothing, or there is no scale yet and its own clock model does not know enough to begin one.
     NotYet,
     /// Its clock is another than the other cameras', by seconds.
     Apart(f64),
@@ -143,8 +177,7 @@ impl PtpDomain {
     pub fn reading(&self, camera: &str, own: &ClockReading, exposure_s: f64) -> PtpReading {
         let half_ns = (0.5 * exposure_s * NANOS_PER_SECOND).round() as i64;
         let Some(line) = own.line else {
-            // A frame whose device time fits nothing.
-            return PtpReading::OnScale(ClockReading { epoch: 0, ..*own });
+            return PtpReading::NotYet;
         };
         let frame = OwnReading {
             camera,
@@ -153,19 +186,30 @@ impl PtpDomain {
             rate: line.rate,
             sigma_s: own.sigma_s,
         };
-        match self.apart_s(&frame) {
-            None if frame.sigma_s > STEER_SIGMA_S => return PtpReading::NotYet,
-            Some(apart_s) if apart_s.abs() > APART_S + 5.0 * frame.sigma_s => {
+        // A thread that panicked leaves numbers that were whole.
+        let mut scale = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let knows = frame.sigma_s <= STEER_SIGMA_S;
+        if scale.is_none() && !knows {
+            return PtpReading::NotYet;
+        }
+        let scale = scale.get_or_insert_with(|| Scale::beginning(&frame, 0));
+        let apart_s = scale.apart_s(&frame);
+        if apart_s.abs() > APART_S + 5.0 * frame.sigma_s {
+            // The network's clock has jumped (its master was restarted, or is another one), or all cameras were off.
+            if !knows || frame.host_ns.saturating_sub(scale.newest_ns) < ABANDONED_NS {
                 return PtpReading::Apart(apart_s);
             }
-            _ => {}
+            let epoch = scale.epoch.saturating_add(1).max(LATER_SCALES);
+            *scale = Scale::beginning(&frame, epoch);
         }
-        let place = self.place(&frame);
+        scale.newest_ns = scale.newest_ns.max(frame.host_ns);
+        scale.steer(&frame);
+        let place = scale.at(frame.device_ns);
         let midpoint_ns = place.host_ns.saturating_add(half_ns);
         PtpReading::OnScale(ClockReading {
             stamped: StampedMidpoint::from_nanos(midpoint_ns),
             sigma_s: STAMP_SIGMA_S,
-            epoch: 0,
+            epoch: scale.epoch,
             event: own.event,
             line: Some(ClockLine {
                 device_ns: line.device_ns,
@@ -173,34 +217,6 @@ impl PtpDomain {
                 rate: place.rate,
             }),
         })
-    }
-
-    fn place(&self, own: &OwnReading) -> PtpPlace {
-        // A thread that panicked leaves numbers that were whole.
-        let mut scale = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let scale = scale.get_or_insert_with(|| {
-            let first = Segment {
-                from_ns: own.device_ns,
-                host_ns: own.host_ns,
-                rate: own.rate,
-            };
-            Scale {
-                before: first,
-                now: first,
-                steerer: own.camera.to_owned(),
-                steered_ns: own.device_ns,
-                steerer_late_s: 0.0,
-            }
-        });
-        scale.steer(own);
-        scale.at(own.device_ns)
-    }
-
-    /// Seconds by which the camera's own clock model is after where the scale has its frame; `None` before the first.
-    fn apart_s(&self, own: &OwnReading) -> Option<f64> {
-        let scale = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let place = scale.as_ref()?.at(own.device_ns);
-        Some(own.host_ns.saturating_sub(place.host_ns) as f64 / NANOS_PER_SECOND)
     }
 }
 
@@ -223,6 +239,30 @@ mod tests {
         }
     }
 
+    fn read(domain: &PtpDomain, own: &OwnReading) -> PtpReading {
+        let midpoint_ns = own.host_ns + 500_000;
+        let reading = ClockReading {
+            stamped: StampedMidpoint::from_nanos(midpoint_ns),
+            sigma_s: own.sigma_s,
+            epoch: 3,
+            event: None,
+            line: Some(ClockLine {
+                device_ns: own.device_ns,
+                midpoint_ns,
+                rate: own.rate,
+            }),
+        };
+        domain.reading(own.camera, &reading, 0.001)
+    }
+
+    /// Host time of the frame on the scale.
+    fn place(domain: &PtpDomain, own: &OwnReading) -> i64 {
+        match read(domain, own) {
+            PtpReading::OnScale(at) => at.stamped.nanos() - 500_000,
+            other => panic!("{}: {other:?}", own.camera),
+        }
+    }
+
     #[test]
     fn frames_of_one_ptp_time_have_one_host_time() {
         let domain = PtpDomain::default();
@@ -230,13 +270,13 @@ mod tests {
         // The second camera's frames come 40 ms later each, and its arrivals are late by another constant.
         for k in 0..20_000 {
             let s = 0.01 * f64::from(k);
-            let a = domain.place(&own("a", s, 20.0 * (0.3 * s).sin(), 12.0));
+            let a = place(&domain, &own("a", s, 20.0 * (0.3 * s).sin(), 12.0));
             let behind = s - 0.04;
-            let b = domain.place(&own("b", behind, 300.0, 12.0));
+            let b = place(&domain, &own("b", behind, 300.0, 12.0));
             // The same line, asked by the other camera.
-            let again = domain.place(&own("a", behind, 0.0, 12.0));
+            let again = place(&domain, &own("a", behind, 0.0, 12.0));
             assert_eq!(b, again);
-            let passed_ns = a.host_ns - b.host_ns;
+            let passed_ns = a - b;
             // 40 ms of PTP at 12 ppm, steered by at most 20 ppm.
             assert!((passed_ns - 40_000_480).abs() < 800, "{passed_ns} at {s}");
             asked += 1;
@@ -254,8 +294,8 @@ mod tests {
             let s = f64::from(k);
             let mut reading = own("a", s, 1e6 * host_late(s), 12.0);
             reading.rate = if s < 3602.0 { 12e-6 } else { 30e-6 };
-            let place = domain.place(&reading);
-            let off_us = 1e-3 * (place.host_ns - reading.host_ns) as f64;
+            let placed = place(&domain, &reading);
+            let off_us = 1e-3 * (placed - reading.host_ns) as f64;
             worst_us = worst_us.max(off_us.abs());
         }
         // Eight seconds at 18 ppm until it is steered, 1.5 until that holds.
@@ -266,14 +306,14 @@ mod tests {
     #[test]
     fn another_camera_steers_when_the_first_is_gone_and_nothing_jumps() {
         let domain = PtpDomain::default();
-        let mut last = domain.place(&own("a", 0.0, 0.0, 0.0)).host_ns;
+        let mut last = place(&domain, &own("a", 0.0, 0.0, 0.0));
         for k in 1..4000 {
             let s = 0.05 * f64::from(k);
             let camera = if s < 20.0 { "a" } else { "b" };
             let late_us = if camera == "b" { 250.0 } else { 0.0 };
-            let place = domain.place(&own(camera, s, late_us, 0.0));
-            assert!((place.host_ns - last - 50_000_000).abs() < 100, "at {s} s");
-            last = place.host_ns;
+            let placed = place(&domain, &own(camera, s, late_us, 0.0));
+            assert!((placed - last - 50_000_000).abs() < 100, "at {s} s");
+            last = placed;
         }
         let off_ns = last - own("a", 0.05 * 3999.0, 0.0, 0.0).host_ns;
         assert!(off_ns.abs() < 1000, "{off_ns} ns");
@@ -282,26 +322,13 @@ mod tests {
     #[test]
     fn a_stamp_is_the_middle_of_the_exposure_on_the_scale() {
         let domain = PtpDomain::default();
-        let reading = |late_us: f64, sigma_s: f64| {
-            let of = own("a", 5.0, late_us, 0.0);
-            ClockReading {
-                stamped: StampedMidpoint::from_nanos(of.host_ns + 500_000),
-                sigma_s,
-                epoch: 3,
-                event: None,
-                line: Some(ClockLine {
-                    device_ns: of.device_ns,
-                    midpoint_ns: of.host_ns + 500_000,
-                    rate: 0.0,
-                }),
-            }
+        let vague = OwnReading {
+            sigma_s: 0.5e-3,
+            ..own("a", 5.0, 0.0, 0.0)
         };
-        assert_eq!(
-            domain.reading("a", &reading(0.0, 0.5e-3), 0.001),
-            PtpReading::NotYet
-        );
+        assert_eq!(read(&domain, &vague), PtpReading::NotYet);
         for (camera, late_us) in [("a", 0.0), ("b", 1500.0)] {
-            let PtpReading::OnScale(at) = domain.reading(camera, &reading(late_us, 5e-6), 0.001) else {
+            let PtpReading::OnScale(at) = read(&domain, &own(camera, 5.0, late_us, 0.0)) else {
                 panic!("{camera} is on the scale");
             };
             // 1005 s by the first camera, and half an exposure of 1 ms.
@@ -311,19 +338,54 @@ mod tests {
                 1_005_010_500_000
             );
         }
-        let apart = domain.reading("c", &reading(-2500.0, 5e-6), 0.001);
-        assert!(
-            matches!(apart, PtpReading::Apart(s) if (s + 2.5e-3).abs() < 1e-9),
-            "{apart:?}"
-        );
+        // One that knows little may join, and is not told off for what it does not know.
+        let vague = OwnReading {
+            camera: "c",
+            sigma_s: 0.5e-3,
+            ..own("c", 5.0, 3000.0, 0.0)
+        };
+        assert_eq!(place(&domain, &vague), 1_005_000_000_000);
     }
 
     #[test]
-    fn a_camera_of_another_clock_is_far_apart() {
+    fn a_camera_of_another_clock_is_apart_until_it_is_the_networks() {
         let domain = PtpDomain::default();
-        assert_eq!(domain.apart_s(&own("a", 0.0, 0.0, 0.0)), None);
-        domain.place(&own("a", 0.0, 0.0, 0.0));
-        let apart_s = domain.apart_s(&own("b", 1.0, 30_000.0, 0.0)).unwrap();
-        assert!((apart_s - 0.03).abs() < 1e-9, "{apart_s}");
+        // Another network's clock shows 400 s more.
+        let other = |s: f64| OwnReading {
+            device_ns: TAI_NS + (1e9 * (s + 400.0)).round() as i64,
+            ..own("b", s, 0.0, 0.0)
+        };
+        let mut epochs = Vec::new();
+        for k in 0..100 {
+            let s = 0.1 * f64::from(k);
+            // The first camera is there for five seconds.
+            if s < 5.0 {
+                place(&domain, &own("a", s, 0.0, 0.0));
+            }
+            match read(&domain, &other(s)) {
+                PtpReading::Apart(apart_s) => {
+                    assert!((apart_s + 400.0).abs() < 1e-6, "{apart_s}");
+                    assert!(s < 8.0, "the scale was never begun anew");
+                }
+                PtpReading::OnScale(at) => {
+                    assert!(
+                        s > 7.8 && (at.stamped.nanos() - other(s).host_ns) == 500_000,
+                        "{s}"
+                    );
+                    epochs.push(at.epoch);
+                }
+                PtpReading::NotYet => panic!("at {s} s"),
+            }
+        }
+        assert!(
+            epochs.len() > 15 && epochs.iter().all(|e| *e == LATER_SCALES),
+            "{epochs:?}"
+        );
+        assert!(is_of_network(0) && is_of_network(LATER_SCALES) && !is_of_network(1));
+        // Back with the network's new clock.
+        assert!(matches!(
+            read(&domain, &OwnReading { camera: "a", ..other(10.0) }),
+            PtpReading::OnScale(at) if at.epoch == LATER_SCALES
+        ));
     }
 }

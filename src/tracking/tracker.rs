@@ -138,6 +138,11 @@ impl Tracker {
         open_paths(&self.alive, &self.config)
     }
 
+    /// Whether a path has ended that may go on.
+    pub fn holds_back(&self) -> bool {
+        !self.pending.is_empty()
+    }
+
     /// What the paths that have just missed `frames` frames would be if they ended now: mostly they have.
     pub fn ending(&self, frames: f64) -> Vec<TrackedBall> {
         let Some(newest) = self.history.back() else {

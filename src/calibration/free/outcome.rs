@@ -57,6 +57,7 @@ pub(super) fn outcome(rig: &Rig, gathered: &Gathered, solution: &Solution) -> Fr
             capture_delay_sigma_s: sigma_s,
             clock_skew_ppm: state.skew_ppm,
             skew_epoch_ns: gathered.epoch_ns + (view.epoch_s / pace * NANOS_PER_SECOND).round() as i64,
+            network_clock: false,
             readout_s: state.readout_s / pace,
             intrinsics: state.lens,
             width_px: setup.width_px,

@@ -140,6 +140,7 @@ fn cameras(
             capture_delay_sigma_s: delay_sigma.unwrap_or(0.0),
             clock_skew_ppm: camera.timing.clock_skew_ppm,
             skew_epoch_ns: camera.timing.skew_epoch_ns,
+            network_clock: false,
             readout_s: camera.timing.readout_s,
             intrinsics: camera.intrinsics,
             width_px: setup.width_px,

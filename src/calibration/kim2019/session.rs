@@ -41,6 +41,7 @@ pub fn calibrate_session(
             capture_delay_sigma_s: 0.0,
             clock_skew_ppm: 0.0,
             skew_epoch_ns: stamp_ns,
+            network_clock: false,
             readout_s: 0.0,
             intrinsics: setup.intrinsics,
             width_px: setup.width_px,

@@ -256,6 +256,13 @@ impl LiveCamera {
     pub fn ptp_state(&self) -> Option<&str> {
         self.ptp.as_ref().map(PtpFollower::state)
     }
+    /// Asks the camera from time to time whether its clock follows the network's. That may take half a second: not for a
+    /// moment when a ball flies.
+    pub fn look_at_clock(&mut self) {
+        if let Some(ptp) = &mut self.ptp {
+            ptp.look(&self.camera);
+        }
+    }
     /// Packet size in use; 0 for USB.
     pub fn packet_size(&self) -> u32 {
         self.packet_size
@@ -347,10 +354,16 @@ impl LiveCamera {
         arrival: ArrivalTime,
     ) -> (FrameStamp, ClockReading, u64) {
         let device = DeviceTime::from_nanos(i64::try_from(device_ns).unwrap_or(i64::MAX));
-        let mut reading = memory.clock.push(device, arrival, self.exposure_s);
-        if let Some(ptp) = &mut self.ptp {
-            reading = ptp.stamp(&self.camera, reading, self.exposure_s);
-        }
+        let own = memory.clock.push(device, arrival, self.exposure_s);
+        // Calibrations know a clock by its epoch: 0 is the network's, a camera's own begins at 1.
+        let own = ClockReading {
+            epoch: own.epoch.saturating_add(1),
+            ..own
+        };
+        let reading = match &mut self.ptp {
+            Some(ptp) => ptp.stamp(own, self.exposure_s),
+            None => own,
+        };
         // After a reconnection the numbers go on as if the camera had never stopped.
         if memory.numbers.is_first()
             && let Some(last) = memory.last_stamp

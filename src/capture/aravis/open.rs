@@ -45,9 +45,13 @@ pub fn open(options: &LiveOptions, place: &Place) -> Result<Opened, LiveError> {
     let _ = camera.stop_acquisition();
     shorten_heartbeat(options, &camera);
     set_image(options, &camera)?;
-    let exposure_s = set_timing(options, &camera)?;
+    let mut exposure_s = set_timing(options, &camera)?;
     let ptp = PtpFollower::start(options, &camera)?;
-    features::set(options, &camera)?;
+    if !options.features.is_empty() {
+        features::set(options, &camera)?;
+        // They may have changed it.
+        exposure_s = 1e-6 * camera.exposure_time().unwrap_or(1e6 * exposure_s);
+    }
     let payload_bytes = sane_payload(
         options,
         camera.payload().map_err(failed("read PayloadSize"))? as usize,

@@ -15,6 +15,7 @@ struct Names {
     enable: &'static str,
     latch: &'static str,
     status: &'static str,
+    offset_ns: &'static str,
 }
 
 const NAMES: [Names; 2] = [
@@ -22,17 +23,22 @@ const NAMES: [Names; 2] = [
         enable: "PtpEnable",
         latch: "PtpDataSetLatch",
         status: "PtpStatus",
+        offset_ns: "PtpOffsetFromMaster",
     },
     Names {
         enable: "GevIEEE1588",
         latch: "GevIEEE1588DataSetLatch",
         status: "GevIEEE1588Status",
+        offset_ns: "GevIEEE1588OffsetFromMaster",
     },
 ];
 
 /// States of a clock that is the network's (IEEE 1588 port states).
 const FOLLOWS: [&str; 2] = ["slave", "master"];
-/// The camera is asked so often whether it follows, before and after it does. An answer takes about a millisecond.
+/// A clock that is further from its master's than this does not follow yet, nanoseconds.
+const OFFSET_MOST_NS: i64 = 20_000;
+/// The camera is asked again whether it follows after these times: at first soon, later seldom. An answer takes about a
+/// millisecond, and one that is lost half a second.
 const LOOK_SOON: Duration = Duration::from_millis(500);
 const LOOK_LATER: Duration = Duration::from_secs(10);
 
@@ -42,10 +48,11 @@ pub struct PtpFollower {
     domain: PtpDomain,
     camera: CameraId,
     look_at: Instant,
+    looks_after: Duration,
     state: String,
     follows: bool,
-    /// Whether frames are stamped on the common scale.
-    on_scale: bool,
+    /// Epoch of the common scale, while frames are stamped on it.
+    on_scale: Option<u32>,
 }
 
 impl PtpFollower {
@@ -75,47 +82,40 @@ impl PtpFollower {
             domain: domain.clone(),
             camera: options.camera.clone(),
             look_at: Instant::now(),
+            looks_after: LOOK_SOON,
             state: String::new(),
             follows: false,
-            on_scale: false,
+            on_scale: None,
         }))
     }
 
-    /// The stamp of a frame; `own` is by the camera's own clock. Calibrations know a clock by its epoch: the common scale
-    /// is 0, whatever the camera has been through, and its own clock's are above.
-    pub fn stamp(&mut self, camera: &Camera, own: ClockReading, exposure_s: f64) -> ClockReading {
-        if Instant::now() >= self.look_at {
-            self.look(camera);
-        }
-        let by_own_clock = ClockReading {
-            epoch: own.epoch.saturating_add(1),
-            ..own
-        };
-        // Where a clock has just begun to follow, the first times are those that fit nothing.
-        if !self.follows || (own.line.is_none() && !self.on_scale) {
-            self.on_scale = false;
-            return by_own_clock;
+    /// The stamp of a frame; `own` is by the camera's own clock.
+    pub fn stamp(&mut self, own: ClockReading, exposure_s: f64) -> ClockReading {
+        if !self.follows {
+            self.on_scale = None;
+            return own;
         }
         match self.domain.reading(self.camera.as_str(), &own, exposure_s) {
             PtpReading::OnScale(reading) => {
-                if !self.on_scale {
+                if self.on_scale != Some(reading.epoch) {
                     tracing::info!(camera = %self.camera, state = %self.state, "stamped by the network's clock (PTP)");
                 }
-                self.on_scale = true;
+                self.on_scale = Some(reading.epoch);
                 reading
             }
-            PtpReading::NotYet => {
-                self.on_scale = false;
-                by_own_clock
-            }
+            // A frame whose time fits nothing is no reason to leave the scale.
+            PtpReading::NotYet => ClockReading {
+                epoch: self.on_scale.unwrap_or(own.epoch),
+                ..own
+            },
             PtpReading::Apart(apart_s) => {
                 tracing::warn!(
                     camera = %self.camera, state = %self.state, apart_s,
                     "its PTP clock is not that of the other cameras: are they on one network, and is a switch between them \
                      that passes PTP on? It is stamped by its own clock"
                 );
-                (self.follows, self.on_scale) = (false, false);
-                by_own_clock
+                (self.follows, self.on_scale) = (false, None);
+                own
             }
         }
     }
@@ -125,19 +125,35 @@ impl PtpFollower {
         &self.state
     }
 
-    fn look(&mut self, camera: &Camera) {
+    /// Asks the camera where its clock stands, if it is time for that. Blocks for as long as the answer takes: not for a
+    /// time when frames matter.
+    pub fn look(&mut self, camera: &Camera) {
+        if Instant::now() < self.look_at {
+            return;
+        }
         // Cameras that latch nothing need no command.
         let _ = camera.execute_command(self.names.latch);
         let state = camera.string(self.names.status).map_or_else(
             |error| format!("unknown ({})", error.message()),
             |state| state.to_string(),
         );
-        let follows = FOLLOWS.iter().any(|name| state.eq_ignore_ascii_case(name));
+        // A master is its own; a camera that does not tell is taken at its word.
+        let offset_ns = match state.eq_ignore_ascii_case("slave")
+            && camera.is_feature_available(self.names.offset_ns).unwrap_or(false)
+        {
+            true => camera.integer(self.names.offset_ns).unwrap_or(0),
+            false => 0,
+        };
+        let near = offset_ns.saturating_abs() <= OFFSET_MOST_NS;
+        let follows = near && FOLLOWS.iter().any(|name| state.eq_ignore_ascii_case(name));
         if state != self.state && !follows {
-            tracing::info!(camera = %self.camera, %state, "does not follow the network's clock (PTP) yet: stamped by its own");
+            tracing::info!(
+                camera = %self.camera, %state, offset_ns, "does not follow the network's clock (PTP) yet: stamped by its own"
+            );
         }
         self.state = state;
         self.follows = follows;
-        self.look_at = Instant::now() + if follows { LOOK_LATER } else { LOOK_SOON };
+        self.look_at = Instant::now() + self.looks_after;
+        self.looks_after = (self.looks_after * 3 / 2).min(LOOK_LATER);
     }
 }
