@@ -15,7 +15,8 @@ const REFINED_ROUGHNESS_MAX_PX: f64 = 0.5;
 /// ... and of a short path, to which a curve bends easily, no further than this or so many of its σ: a bird's wings beat.
 const SHORT_ROUGHNESS_MAX_PX: f64 = 0.2;
 const SHORT_ROUGHNESS_SIGMAS: f64 = 2.5;
-const SHORT_S: f64 = 0.25;
+/// A path is short to here, and in between to there, seconds.
+const SHORT_S: [f64; 2] = [0.25, 0.5];
 /// Earlier balls that vote on which way pitches go.
 const SHAPES_KEPT: usize = 60;
 /// Points over which a step is averaged.
@@ -147,14 +148,14 @@ impl SecondLook {
 
 /// The largest departure from a smooth path that a ball's refined centres may have.
 fn roughness_max_px(ball: &TrackedBall) -> f64 {
-    if ball.shape.span_s > SHORT_S {
-        return REFINED_ROUGHNESS_MAX_PX;
-    }
+    let [short_s, long_s] = SHORT_S;
+    let longer = ((ball.shape.span_s - short_s) / (long_s - short_s)).clamp(0.0, 1.0);
+    let allowed_px = SHORT_ROUGHNESS_MAX_PX + longer * (REFINED_ROUGHNESS_MAX_PX - SHORT_ROUGHNESS_MAX_PX);
     let points = ball.track.points.iter();
     let variances = points.filter_map(|p| Some(0.5 * p.covariance_px2?.trace()));
     let count = ball.track.points.len().max(1) as f64;
     let sigma_px = (variances.sum::<f64>() / count).sqrt();
-    (SHORT_ROUGHNESS_SIGMAS * sigma_px).clamp(SHORT_ROUGHNESS_MAX_PX, REFINED_ROUGHNESS_MAX_PX)
+    (SHORT_ROUGHNESS_SIGMAS * sigma_px).clamp(allowed_px, REFINED_ROUGHNESS_MAX_PX)
 }
 
 /// What the first look should know: the shortest step between frames, the length along the motion, the middle.
