@@ -76,15 +76,7 @@ const RECENT: usize = 1024;
 impl Watcher<'_> {
     fn take(&mut self, live: &LiveFrame, config: &EyeConfig) {
         let frame = &live.frame;
-        // Tracks do not cross a break of the clock: their stamps would not fit each other.
-        if self
-            .watching
-            .as_ref()
-            .is_some_and(|(_, epoch)| *epoch != live.clock_epoch)
-        {
-            self.end_window();
-            self.recent.clear();
-        }
+        self.keep_to_epoch(live.clock_epoch);
         if self.recent.len() >= RECENT {
             self.recent.pop_front();
         }
@@ -121,6 +113,23 @@ impl Watcher<'_> {
         }
         self.hand_on();
         self.tell_how_far(follows);
+    }
+
+    /// Tracks do not cross a break of the clock: their stamps would not fit each other. What the eye knows of the picture
+    /// (its noise, its light) goes on.
+    fn keep_to_epoch(&mut self, epoch: u32) {
+        let Some((eye, of_eye)) = &mut self.watching else {
+            return;
+        };
+        if *of_eye == epoch {
+            return;
+        }
+        eye.finish();
+        self.hand_on();
+        self.recent.clear();
+        if let Some((_, of_eye)) = &mut self.watching {
+            *of_eye = epoch;
+        }
     }
 
     fn end_window(&mut self) {
