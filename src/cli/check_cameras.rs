@@ -111,15 +111,23 @@ fn watch(mut live: LiveCamera, memory: &mut CameraMemory, (what, asked_hz): (&st
         }
     }
     let place = format!(
-        "{} at {}, packets of {} bytes{}",
+        "{} at {}{}{}",
         live.model(),
         live.place(),
-        live.packet_size(),
+        packets(live.packet_size()),
         live.ptp_state()
             .map_or_else(String::new, |state| format!(", PTP {state}"))
     );
     live.stop();
     told(what, &came, (asked_hz, &place), memory.counters())
+}
+
+/// A camera of the USB bus has none.
+fn packets(size: u32) -> String {
+    match size {
+        0 => String::new(),
+        bytes => format!(", packets of {bytes} bytes"),
+    }
 }
 
 fn told(what: &str, came: &Came, (asked_hz, place): (f64, &str), counters: LiveCounters) -> Line {
@@ -182,6 +190,12 @@ mod tests {
             "the way out to the internet leads to no camera"
         );
         assert!(!is_near(Ipv4Addr::new(10, 93, 1, 2), ""));
+    }
+
+    #[test]
+    fn a_camera_without_packets_is_not_said_to_have_empty_ones() {
+        assert_eq!(packets(0), "");
+        assert_eq!(packets(8000), ", packets of 8000 bytes");
     }
 
     #[test]

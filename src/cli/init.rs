@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 
-use crate::capture::aravis::{self, Found};
+use crate::capture::aravis::{self, Found, ListedDevice};
 
 /// Write a first pitchd.toml and rig.toml from the cameras found.
 #[derive(Debug, clap::Args)]
@@ -26,20 +26,67 @@ pub struct InitArgs {
     pub address: Vec<Ipv4Addr>,
 }
 
+/// A camera that is there, of whichever kind.
+struct Seen {
+    /// `None`: it is not on the network.
+    address: Option<Ipv4Addr>,
+    /// Where, in words.
+    place: String,
+    vendor: String,
+    model: String,
+    serial: String,
+    /// Empty where it has none.
+    user_name: String,
+}
+
+impl From<Found> for Seen {
+    fn from(found: Found) -> Self {
+        Self {
+            address: Some(found.address),
+            place: found.address.to_string(),
+            vendor: found.vendor,
+            model: found.model,
+            serial: found.serial,
+            user_name: found.user_name,
+        }
+    }
+}
+
+impl From<ListedDevice> for Seen {
+    fn from(device: ListedDevice) -> Self {
+        Self {
+            address: None,
+            place: format!("{} {}", device.protocol, device.address),
+            vendor: device.vendor,
+            model: device.model,
+            serial: device.serial,
+            user_name: String::new(),
+        }
+    }
+}
+
 /// Writes both files.
 ///
 /// # Errors
 /// No camera, or a file that is there already.
 pub fn run(args: &InitArgs) -> anyhow::Result<()> {
-    let found = if args.address.is_empty() {
-        aravis::discover(Duration::from_millis(800))
+    let found: Vec<Seen> = if args.address.is_empty() {
+        let network = aravis::discover(Duration::from_millis(800)).into_iter();
+        let near = aravis::list_near_devices().into_iter();
+        network.map(Seen::from).chain(near.map(Seen::from)).collect()
     } else {
         let patience = Duration::from_millis(300);
         let asked = args.address.iter();
-        asked.filter_map(|a| aravis::ping(*a, patience)).collect()
+        asked
+            .filter_map(|a| aravis::ping(*a, patience))
+            .map(Seen::from)
+            .collect()
     };
     if found.is_empty() {
-        bail!("no GigE Vision camera answered: `pitchd check` looks at the host, --address asks one address");
+        bail!(
+            "no GigE Vision camera answered, and no USB3 Vision camera is plugged in: `pitchd check` looks at the host, \
+             --address asks one address"
+        );
     }
     let names = names_of(&found);
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
@@ -66,7 +113,7 @@ fn write_new(path: &Path, text: &str) -> anyhow::Result<()> {
 }
 
 /// An id for each camera: its user-defined name where that is one and the only one, else cam1, cam2, …
-fn names_of(found: &[Found]) -> Vec<String> {
+fn names_of(found: &[Seen]) -> Vec<String> {
     let usable = |name: &str| {
         crate::scene::CameraId::new(name).is_ok() && found.iter().filter(|f| f.user_name == name).count() == 1
     };
@@ -88,7 +135,7 @@ fn quoted(text: &str) -> String {
     toml::Value::String(text.to_owned()).to_string()
 }
 
-fn daemon_file(found: &[Found], names: &[String]) -> String {
+fn daemon_file(found: &[Seen], names: &[String]) -> String {
     let mut text = "\
 # pitchd's own file: which camera is which, and where results go. Paths are beside this file unless absolute.
 rig = \"rig.toml\"
@@ -112,26 +159,36 @@ quota_gib = 100        # the oldest recordings go beyond this
         // Writing to a String cannot fail.
         let _ = write!(
             text,
-            "\n# {} {}, seen at {}\n[[camera]]\nid = {}\nserial = {}   # the same camera at any address\n\
-             # address = \"{}\"      # only this address\n# packet_size = 9000      # negotiated unless given\n\
-             # gain_db = 6.0\n# ptp = true            # its clock follows the network's (PTP)\n\
+            "\n# {} {}, seen at {}\n[[camera]]\nid = {}\nserial = {}   # the same camera at any place\n{}\
+             # gain_db = 6.0\n\
              # features = [[\"BlackLevel\", 4.0]]   # whatever else it can do, by GenICam name, in this order\n",
             one_line(&camera.vendor),
             one_line(&camera.model),
-            camera.address,
+            one_line(&camera.place),
             quoted(name),
             quoted(&camera.serial),
-            camera.address
+            link_choices(camera.address)
         );
     }
     text
+}
+
+/// What can be chosen of a camera's link.
+fn link_choices(address: Option<Ipv4Addr>) -> String {
+    match address {
+        Some(address) => format!(
+            "# address = \"{address}\"      # only this address\n# packet_size = 9000      # negotiated unless given\n\
+             # ptp = true            # its clock follows the network's (PTP)\n"
+        ),
+        None => "# usb_mode = \"async\"    # fetch several transfers at once\n".to_owned(),
+    }
 }
 
 fn one_line(text: &str) -> String {
     text.chars().filter(|c| !c.is_control()).collect()
 }
 
-fn rig_file(found: &[Found], names: &[String]) -> String {
+fn rig_file(found: &[Seen], names: &[String]) -> String {
     let mut text = "\
 # What a person knows of the site. `measure`: the numbers below are a guess.
 [site]
@@ -161,21 +218,61 @@ mod tests {
     use super::*;
     use crate::config::{parse_daemon, parse_rig};
 
-    #[test]
-    fn what_is_written_can_be_read() {
-        let camera = |last: u8, user_name: &str| Found {
+    fn on_the_network(last: u8, user_name: &str) -> Seen {
+        Seen::from(Found {
             address: Ipv4Addr::new(10, 0, 0, last),
             vendor: "A\nB".to_owned(),
             model: "M".to_owned(),
             serial: format!("S\"{last}"),
             user_name: user_name.to_owned(),
-        };
-        let found = [camera(5, "first"), camera(6, "x"), camera(7, "x"), camera(8, "")];
+        })
+    }
+
+    #[test]
+    fn what_is_written_can_be_read() {
+        let found = [
+            on_the_network(5, "first"),
+            on_the_network(6, "x"),
+            on_the_network(7, "x"),
+            on_the_network(8, ""),
+        ];
         let names = names_of(&found);
         assert_eq!(names, ["first", "cam2", "cam3", "cam4"]);
         let config = parse_daemon(Path::new("/e/pitchd.toml"), &daemon_file(&found, &names)).unwrap();
         assert_eq!(config.cameras[3].serial.as_deref(), Some("S\"8"));
         let rig = parse_rig(Path::new("/e/rig.toml"), &rig_file(&found, &names)).unwrap();
         assert_eq!(rig.cameras.len(), 4);
+    }
+
+    #[test]
+    fn a_usb_camera_is_named_by_its_serial_number() {
+        let near = ListedDevice {
+            id: "V-M-U7".to_owned(),
+            vendor: "V".to_owned(),
+            model: "M".to_owned(),
+            serial: "U7".to_owned(),
+            address: "1-2".to_owned(),
+            protocol: "USB3Vision".to_owned(),
+        };
+        let found = [on_the_network(5, "first"), Seen::from(near)];
+        let names = names_of(&found);
+        let text = daemon_file(&found, &names);
+        assert!(text.contains("# V M, seen at USB3Vision 1-2\n"), "{text}");
+        let (_, usb) = text.split_once("U7").unwrap();
+        assert!(!usb.contains("packet_size") && !usb.contains("ptp"), "{usb}");
+        // As it is, and with every choice taken: what is offered is understood.
+        let chosen: String = text
+            .lines()
+            .map(|l| match l.strip_prefix("# ") {
+                Some(choice) if choice.contains(" = ") => format!("{choice}\n"),
+                _ => format!("{l}\n"),
+            })
+            .collect();
+        for (text, usb_async) in [(text, false), (chosen, true)] {
+            let config = parse_daemon(Path::new("/e/pitchd.toml"), &text).unwrap();
+            let usb = &config.cameras[1];
+            assert_eq!((usb.id.as_str(), usb.serial.as_deref()), ("cam2", Some("U7")));
+            assert_eq!((usb.address, usb.usb_async), (None, usb_async));
+        }
     }
 }

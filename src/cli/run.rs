@@ -4,12 +4,13 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use sd_notify::NotifyState;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
 use crate::config::{DaemonConfig, RecordMode, load_daemon, load_rig};
+use crate::daemon::ending::STOP_MOST;
 use crate::daemon::health::CameraState;
 use crate::daemon::memory_lock::lock_memory;
 use crate::daemon::pipeline::{self, Daemon, NotTaken};
@@ -21,7 +22,7 @@ Example:
   pitchd run --config /etc/pitchd/pitchd.toml
 
 Pitches come as JSON lines on standard output and in RESULTS/pitches.jsonl. SIGTERM or Ctrl-C finishes the pitch in
-flight and exits 0; SIGHUP reads the configuration again: [calibrate], the calibration's file, the recorder's times and
+flight and exits 0 (1, with their names, if threads are still at work 25 s later); SIGHUP reads the configuration again: [calibrate], the calibration's file, the recorder's times and
 quota change at once, of everything else it says that it needs a restart; a broken file changes nothing.";
 
 /// Arguments of `pitchd run`.
@@ -42,7 +43,7 @@ pub struct RunArgs {
 /// Runs until a signal.
 ///
 /// # Errors
-/// A configuration that cannot be used.
+/// A configuration that cannot be used; threads that had to be cut off at the end.
 pub fn run(args: &RunArgs) -> anyhow::Result<()> {
     let mut config = load_daemon(&args.config)?;
     let rig = load_rig(&config.rig)?;
@@ -59,7 +60,7 @@ pub fn run(args: &RunArgs) -> anyhow::Result<()> {
     let health = daemon.health().to_vec();
     let recorder = daemon.recorder().clone();
     let published = daemon.published().clone();
-    daemon.finish();
+    let cut_off = daemon.finish();
     for camera in &health {
         tell_line!("pitchd: {}", camera.line());
     }
@@ -67,7 +68,20 @@ pub fn run(args: &RunArgs) -> anyhow::Result<()> {
         tell_line!("pitchd: {}", recorder.line());
     }
     tell_line!("pitchd: {}", published.line());
-    Ok(())
+    ended(&cut_off)
+}
+
+/// An end that cut something off is a failure that names it.
+fn ended(cut_off: &[String]) -> anyhow::Result<()> {
+    if cut_off.is_empty() {
+        return Ok(());
+    }
+    bail!(
+        "still at work {} s after the end was asked for, and cut off: {}; see whether the disk of `results` and \
+         `[record] folder` stands still",
+        STOP_MOST.as_secs(),
+        cut_off.join(", ")
+    );
 }
 
 fn notify(states: &[NotifyState<'_>]) {
@@ -312,6 +326,13 @@ mod tests {
             Verdict::Moves,
             "nothing streams"
         );
+    }
+
+    #[test]
+    fn an_end_that_cuts_off_is_a_failure_with_names() {
+        assert!(ended(&[]).is_ok());
+        let error = ended(&["keep".to_owned(), "disk".to_owned()]).unwrap_err();
+        assert!(error.to_string().contains("cut off: keep, disk;"), "{error}");
     }
 
     #[test]

@@ -5,6 +5,7 @@ pub mod ball;
 pub mod batch;
 pub mod calibrating;
 pub mod clip_disk;
+pub mod ending;
 pub mod foresee;
 pub mod health;
 pub mod histogram;

@@ -41,13 +41,13 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
 
 use crossbeam_channel::{Sender, bounded};
 
 use super::assemble::{Assembler, CalibrationPlan, NewPlan};
 use super::calibrating;
 use super::clip_disk::ClipDisk;
+use super::ending::{STOP_MOST, join_all};
 use super::foresee::{Foresee, InFlight};
 use super::health::CameraHealth;
 use super::keep;
@@ -279,39 +279,14 @@ impl Daemon {
         self.stop.store(true, Ordering::Relaxed);
     }
 
-    /// Stops and waits for the last pitch, at most [`STOP_MOST`] for all threads together. What is still at work then (a
-    /// disk that stands still) is named and left to the process's end; answers how many there are.
-    pub fn finish(self) -> usize {
+    /// Stops and waits for the last pitch, at most [`STOP_MOST`] for all threads together; answers the names of those that
+    /// are still at work then and will be cut off.
+    #[must_use = "what was cut off is to be told"]
+    pub fn finish(self) -> Vec<String> {
         self.request_stop();
-        let until = Instant::now() + STOP_MOST;
-        // `print` may be blocked by a reader that stands still; `calibrate` works for `assemble`, which waits for it as
-        // long as that makes sense.
-        let waited_for =
-            |thread: &JoinHandle<()>| !matches!(thread.thread().name(), Some("print" | "calibrate"));
-        let mut at_work: Vec<_> = self.threads.into_iter().filter(waited_for).collect();
-        loop {
-            let (ended, rest): (Vec<_>, Vec<_>) = at_work.into_iter().partition(JoinHandle::is_finished);
-            at_work = rest;
-            for thread in ended {
-                if thread.join().is_err() {
-                    tracing::error!("a thread ended by a panic");
-                }
-            }
-            if at_work.is_empty() || Instant::now() >= until {
-                break;
-            }
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        for thread in &at_work {
-            let name = thread.thread().name().unwrap_or_default();
-            tracing::error!("`{name}` is still at work after {STOP_MOST:?}: what it does is cut off");
-        }
-        at_work.len()
+        join_all(self.threads, STOP_MOST)
     }
 }
-
-/// With the longest flight before it, below the unit's `TimeoutStopSec` of 30 s: the assembler gives a calibration 20 s.
-const STOP_MOST: Duration = Duration::from_secs(25);
 
 fn plan_of(config: &DaemonConfig) -> CalibrationPlan {
     CalibrationPlan {

@@ -47,7 +47,6 @@ impl Place {
 /// Absent, another camera, or several.
 pub fn locate(options: &LiveOptions) -> Result<Place, LiveError> {
     let which = &options.which;
-    let sought = || which.to_string();
     let fits = |found: &probe::Found| {
         which.serial.as_ref().is_none_or(|s| *s == found.serial)
             && which.user_name.as_ref().is_none_or(|n| *n == found.user_name)
@@ -57,28 +56,26 @@ pub fn locate(options: &LiveOptions) -> Result<Place, LiveError> {
             if fits(&found) {
                 return Ok(Place::Gige(address));
             }
-            if which.serial.is_none() {
-                return Err(LiveError::Absent {
-                    camera: options.camera.clone(),
-                    sought: sought(),
-                    others: others(std::slice::from_ref(&found)),
-                });
-            }
-            // The right camera may have moved to another address: look below, else say who is here.
-            return search(options, fits).map_err(|error| match error {
-                LiveError::Absent { camera, .. } => LiveError::AnotherCamera {
+            // The right camera may have moved to another address: look there, else say who is here.
+            return search(options, fits).map_err(|error| match (error, &which.serial) {
+                (LiveError::Absent { camera, .. }, Some(serial)) => LiveError::AnotherCamera {
                     camera,
                     address,
                     found: found.serial,
-                    expected: which.serial.clone().unwrap_or_default(),
+                    expected: serial.clone(),
                 },
-                other => other,
+                (LiveError::Absent { camera, sought, .. }, None) => LiveError::Absent {
+                    camera,
+                    sought,
+                    others: others(std::slice::from_ref(&found)),
+                },
+                (other, _) => other,
             });
         }
         if which.serial.is_none() && which.user_name.is_none() {
             return Err(LiveError::Absent {
                 camera: options.camera.clone(),
-                sought: sought(),
+                sought: which.to_string(),
                 others: String::new(),
             });
         }
