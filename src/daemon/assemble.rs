@@ -74,6 +74,10 @@ pub struct Assembler {
     pub foresee: Sender<CalibrationInUse>,
 }
 
+/// Between two looks at how far the cameras have been watched: while a ball waits for one, and else.
+const CLOSE_LOOK: Duration = Duration::from_millis(2);
+const LOOK_AROUND: Duration = Duration::from_millis(20);
+
 /// What the assembler keeps.
 #[derive(Default)]
 struct Desk {
@@ -113,7 +117,12 @@ impl Assembler {
         };
         self.tell_calibration();
         loop {
-            match tracks.recv_timeout(Duration::from_millis(20)) {
+            let patience = if desk.open.iter().any(|b| !b.published) {
+                CLOSE_LOOK
+            } else {
+                LOOK_AROUND
+            };
+            match tracks.recv_timeout(patience) {
                 Ok(seen) => self.take(seen, &mut desk),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
