@@ -2,6 +2,9 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may")]
 
+#[path = "lab/small.rs"]
+mod small;
+
 use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -13,52 +16,17 @@ use pitchd::capture::aravis::{
 use pitchd::config::{RecordConfig, RecordMode};
 use pitchd::daemon::clip_disk::DiskJob;
 use pitchd::daemon::recorder::{ClipTrigger, RecordedLive, Recorder, RecorderHealth};
-use pitchd::emulation::{Drill, Emulator, EmulatorOptions, Faults, ScriptShape, pattern};
+use pitchd::emulation::{Drill, Emulator, EmulatorOptions, Faults, pattern};
 use pitchd::eye::{EyeConfig, FirstLook};
-use pitchd::scene::CameraId;
 use pitchd::time::SystemClock;
-
-const SHAPE: ScriptShape = ScriptShape {
-    width_px: 640,
-    height_px: 320,
-    rate_hz: 60.0,
-    exposure_s: 0.002,
-};
+use small::{SHAPE, frame};
 
 /// Pixel formats by their numbers.
 const MONO8: u32 = 0x0108_0001;
 const BAYER: u32 = 0x0108_0009;
 
 fn emulator(last: u8, serial: &str, faults: Faults) -> (Emulator, LiveOptions) {
-    let address = Ipv4Addr::new(127, 0, 92, last);
-    let options = EmulatorOptions {
-        faults,
-        ..EmulatorOptions::new(address, serial)
-    };
-    let emulator = Emulator::start(&options, SHAPE, pattern(SHAPE)).unwrap();
-    let which = CameraAddress {
-        address: Some(address),
-        ..CameraAddress::default()
-    };
-    let camera = CameraId::new("first").unwrap();
-    let live = LiveOptions {
-        buffers: 8,
-        packet_size: Some(1500),
-        realtime_priority: None,
-        ..LiveOptions::new(camera, which, (640, 320), 60.0)
-    };
-    (emulator, live)
-}
-
-/// The next whole frame within two seconds.
-fn frame(camera: &mut LiveCamera, memory: &mut CameraMemory) -> Option<LiveFrame> {
-    let until = Instant::now() + Duration::from_secs(2);
-    while Instant::now() < until {
-        if let Next::Frame(frame) = camera.next(memory, &SystemClock, Duration::from_millis(100)) {
-            return Some(frame);
-        }
-    }
-    None
+    small::emulator([92, last], serial, faults)
 }
 
 #[test]

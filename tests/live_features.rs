@@ -2,52 +2,19 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may")]
 
-use std::net::Ipv4Addr;
+#[path = "lab/small.rs"]
+mod small;
+
 use std::time::{Duration, Instant};
 
-use pitchd::capture::aravis::{CameraAddress, CameraMemory, LiveCamera, LiveFrame, LiveOptions, Next, Ptp};
-use pitchd::emulation::{Drill, Emulator, EmulatorOptions, Faults, ScriptShape, pattern};
-use pitchd::scene::{CameraId, FeatureValue};
-use pitchd::time::{PtpDomain, SystemClock};
-
-const SHAPE: ScriptShape = ScriptShape {
-    width_px: 640,
-    height_px: 320,
-    rate_hz: 60.0,
-    exposure_s: 0.002,
-};
+use pitchd::capture::aravis::{CameraAddress, CameraMemory, LiveCamera, LiveFrame, LiveOptions, Ptp};
+use pitchd::emulation::{Drill, Emulator, Faults};
+use pitchd::scene::FeatureValue;
+use pitchd::time::PtpDomain;
+use small::frame;
 
 fn emulator(last: u8, serial: &str, faults: Faults) -> (Emulator, LiveOptions) {
-    let address = Ipv4Addr::new(127, 0, 91, last);
-    let options = EmulatorOptions {
-        faults,
-        ..EmulatorOptions::new(address, serial)
-    };
-    let emulator = Emulator::start(&options, SHAPE, pattern(SHAPE)).unwrap();
-    let which = CameraAddress {
-        address: Some(address),
-        ..CameraAddress::default()
-    };
-    let camera = CameraId::new("first").unwrap();
-    let live = LiveOptions {
-        buffers: 8,
-        packet_size: Some(1500),
-        realtime_priority: None,
-        ..LiveOptions::new(camera, which, (640, 320), 60.0)
-    };
-    (emulator, live)
-}
-
-/// The next whole frame within two seconds.
-fn frame(camera: &mut LiveCamera, memory: &mut CameraMemory) -> Option<LiveFrame> {
-    let until = Instant::now() + Duration::from_secs(2);
-    while Instant::now() < until {
-        if let Next::Frame(frame) = camera.next(memory, &SystemClock, Duration::from_millis(100)) {
-            camera.look_at_clock();
-            return Some(frame);
-        }
-    }
-    None
+    small::emulator([91, last], serial, faults)
 }
 
 /// Frames until one is of this clock epoch, at most for eight seconds.

@@ -3,48 +3,17 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may")]
 
-use std::net::Ipv4Addr;
+#[path = "lab/small.rs"]
+mod small;
+
 use std::time::{Duration, Instant};
 
-use pitchd::capture::aravis::{
-    CameraAddress, CameraMemory, LiveCamera, LiveFrame, LiveOptions, Next, granted_socket_buffer,
-};
-use pitchd::emulation::{Drill, Emulator, EmulatorOptions, ScriptShape, pattern};
-use pitchd::scene::CameraId;
-use pitchd::time::SystemClock;
-
-const SHAPE: ScriptShape = ScriptShape {
-    width_px: 640,
-    height_px: 320,
-    rate_hz: 60.0,
-    exposure_s: 0.002,
-};
+use pitchd::capture::aravis::{CameraMemory, LiveCamera, LiveOptions, granted_socket_buffer};
+use pitchd::emulation::{Drill, Emulator, EmulatorOptions, Faults, pattern};
+use small::{SHAPE, frame};
 
 fn emulator(last: u8, serial: &str) -> (Emulator, LiveOptions) {
-    let address = Ipv4Addr::new(127, 0, 97, last);
-    let emulator = Emulator::start(&EmulatorOptions::new(address, serial), SHAPE, pattern(SHAPE)).unwrap();
-    let which = CameraAddress {
-        address: Some(address),
-        ..CameraAddress::default()
-    };
-    let live = LiveOptions {
-        buffers: 8,
-        packet_size: Some(1500),
-        realtime_priority: None,
-        ..LiveOptions::new(CameraId::new("first").unwrap(), which, (640, 320), 60.0)
-    };
-    (emulator, live)
-}
-
-/// The next whole frame within two seconds.
-fn frame(camera: &mut LiveCamera, memory: &mut CameraMemory) -> Option<LiveFrame> {
-    let until = Instant::now() + Duration::from_secs(2);
-    while Instant::now() < until {
-        if let Next::Frame(frame) = camera.next(memory, &SystemClock, Duration::from_millis(100)) {
-            return Some(frame);
-        }
-    }
-    None
+    small::emulator([97, last], serial, Faults::default())
 }
 
 #[test]
