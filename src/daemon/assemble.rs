@@ -211,7 +211,8 @@ impl Assembler {
             return;
         };
         let mut open = std::mem::take(&mut desk.open);
-        for ball in open.iter_mut().filter(|b| !b.published && b.cameras().len() > 1) {
+        let worth = |ball: &&mut Ball| !ball.published && ball.may_be_complete(cameras, calibration);
+        for ball in open.iter_mut().filter(worth) {
             self.solve(ball);
             if ball.is_complete(cameras, calibration) {
                 self.publish(ball, desk, Wait::Live);

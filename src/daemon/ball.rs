@@ -136,6 +136,11 @@ impl Ball {
         cameras.iter().all(told) || self.newest.elapsed() > PATIENCE
     }
 
+    /// Whether it is worth solving: no camera of the calibration still follows what may be this ball.
+    pub fn may_be_complete(&self, cameras: &[Watched], calibration: &Calibration) -> bool {
+        self.cameras().len() > 1 && self.all_have_told(cameras, delays(calibration), i64::MIN)
+    }
+
     /// Whether its pitches are as good as they will be: every camera of the calibration has told of it, or followed
     /// nothing when it had crossed the plate. A camera without a calibration cannot add to them.
     pub fn is_complete(&self, cameras: &[Watched], calibration: &Calibration) -> bool {
@@ -143,8 +148,7 @@ impl Ball {
             return false;
         };
         let plate_ns = pitches.iter().map(|p| p.plate_time_ns).max().unwrap_or(0);
-        let delay_s = |camera: &CameraId| Some(calibration.camera(camera)?.capture_delay_s);
-        self.all_have_told(cameras, delay_s, plate_ns)
+        self.all_have_told(cameras, delays(calibration), plate_ns)
     }
 
     /// As [`Self::is_complete`], for a ball at the plate at this true time.
@@ -163,6 +167,11 @@ impl Ball {
             watched.clear_ns > needed_ns || self.has(&watched.camera)
         })
     }
+}
+
+/// Capture delay of every camera of a calibration, seconds.
+fn delays(calibration: &Calibration) -> impl Fn(&CameraId) -> Option<f64> + '_ {
+    |camera| Some(calibration.camera(camera)?.capture_delay_s)
 }
 
 #[cfg(test)]
@@ -224,6 +233,11 @@ mod tests {
             )
         };
         assert_eq!(told(end_ns), (false, false));
+        // Before the camera has seen as far as the ball's last point nothing is worth a try.
+        for (clear_ns, worth) in [(end_ns, false), (end_ns + 1, true)] {
+            let cameras = [watched("home", clear_ns, clear_ns)];
+            assert_eq!(ball.all_have_told(&cameras, delay_s, i64::MIN), worth);
+        }
         assert_eq!(told(plate_ns + 8_000_000), (false, false));
         assert_eq!(told(plate_ns + 8_000_001), (true, false));
         // Nothing is closed before the camera can have told of another part of the flight.
