@@ -6,7 +6,7 @@ mod lab;
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use lab::{Lab, Reaped, unix_s};
@@ -206,6 +206,7 @@ fn same_points(live: &[Track], replayed: &[Track]) {
         assert_eq!(live.points.len(), replayed.points.len(), "{name}");
         for (a, b) in live.points.iter().zip(&replayed.points) {
             let apart = (a.pixel.vector() - b.pixel.vector()).norm();
+            assert!(apart < 0.01, "{name} frame {}: {apart} px apart", b.frame);
             worst_px = worst_px.max(apart);
             compared += 1;
         }
@@ -247,20 +248,36 @@ fn same_numbers(live: &[Pitch], replayed: &[Pitch], sigmas_max: f64) {
     assert!(wrong.is_empty(), "{wrong:?}");
 }
 
+/// Every test needs the whole machine.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
 /// Network namespaces, and the recording replayed in a folder of its own: its session is `session`, its results `replay`.
 struct Stage {
     lab: Lab,
     folder: tempfile::TempDir,
+    _alone: MutexGuard<'static, ()>,
 }
 
 impl Stage {
-    fn new(tag: char) -> Result<Self, String> {
-        let lab = Lab::new(tag, CAMERAS.len())?;
+    /// `None`: the test is skipped.
+    fn new(tag: char) -> Option<Self> {
+        let alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+        let lab = match Lab::new(tag, CAMERAS.len()) {
+            Ok(lab) => lab,
+            Err(why) => {
+                lab::skip(&format!("network namespaces: {why}"));
+                return None;
+            }
+        };
         let folder = tempfile::tempdir().unwrap();
         let session = folder.path().join("session");
         without_pauses(&session);
         replay(&session, &folder.path().join("replay"));
-        Ok(Self { lab, folder })
+        Some(Self {
+            lab,
+            folder,
+            _alone: alone,
+        })
     }
 
     fn session(&self) -> PathBuf {
@@ -295,16 +312,9 @@ impl Stage {
     }
 }
 
-/// Both tests need the whole machine.
-static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
-
 #[test]
 fn live_is_replay() {
-    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    let stage = match Stage::new('l') {
-        Ok(stage) => stage,
-        Err(why) => return lab::skip(&format!("network namespaces: {why}")),
-    };
+    let Some(stage) = Stage::new('l') else { return };
     // Stamps of clocks that follow the network's fit each other exactly. Those of free-running cameras are as good as the
     // host's arrivals: on two busy cores two clocks are some 5 µs off each other, 0.2 mm of flight, where the points of
     // this noise-free recording are good to 0.01 px. Seen: 0.01 to 0.8 sigma.
@@ -323,11 +333,7 @@ fn live_is_replay() {
 /// everything is at the end, that ball followed to its end and with the numbers of the replay.
 #[test]
 fn a_ball_in_flight_at_sigterm_is_followed_to_its_end() {
-    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
-    let stage = match Stage::new('e') {
-        Ok(stage) => stage,
-        Err(why) => return lab::skip(&format!("network namespaces: {why}")),
-    };
+    let Some(stage) = Stage::new('e') else { return };
     let replayed = stage.pitches("replay");
     let session = SessionReader::open(&stage.session()).unwrap();
     stage.run(Round {
