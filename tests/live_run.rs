@@ -12,6 +12,8 @@ use std::time::{Duration, Instant};
 
 use lab::Reaped;
 use pitchd::emulation::{Drill, Emulator, EmulatorOptions, ScriptShape, pattern};
+use pitchd::recording::SessionReader;
+use pitchd::scene::{CameraId, Frame};
 
 const SHAPE: ScriptShape = ScriptShape {
     width_px: 320,
@@ -175,18 +177,24 @@ fn a_frozen_camera_holds_up_no_end() {
     assert!(!log.contains("still at work"), "{log}");
     let session = std::fs::read_dir(folder.join("recordings")).unwrap().next();
     let session = session.unwrap().unwrap().path();
-    let whole = pitchd(&["info", session.to_str().unwrap(), "--verify"]);
-    assert!(
-        whole.status.success(),
-        "{}",
-        String::from_utf8_lossy(&whole.stderr)
-    );
-    let reader = pitchd::recording::SessionReader::open(&session).unwrap();
-    for id in ["first", "third"] {
-        let frames = reader.frames(&pitchd::scene::CameraId::new(id).unwrap()).unwrap();
-        let frames = frames.count();
-        assert!(frames >= 30, "{id}: {frames} frames");
+    for (id, frames) in frames_of_whole(&session) {
+        assert!(frames.len() >= 30, "{id}: {} frames", frames.len());
     }
+}
+
+/// Every camera's frames of a recording that must be whole.
+fn frames_of_whole(session: &Path) -> Vec<(&'static str, Vec<Frame>)> {
+    let verified = pitchd(&["info", session.to_str().unwrap(), "--verify"]);
+    let said = String::from_utf8_lossy(&verified.stderr);
+    assert!(verified.status.success(), "{said}");
+    let reader = SessionReader::open(session).unwrap();
+    let cameras = ["first", "third"].into_iter();
+    cameras
+        .map(|id| {
+            let frames = reader.frames(&CameraId::new(id).unwrap()).unwrap();
+            (id, frames.map(|recorded| recorded.frame).collect())
+        })
+        .collect()
 }
 
 fn pitchd(arguments: &[&str]) -> Output {
@@ -274,16 +282,7 @@ fn a_killed_daemons_recording_is_whole_up_to_its_last_second() {
     assert!(!pitchd(&["info", path]).status.success(), "it was killed");
     let mended = pitchd(&["recover", path]);
     println!("{}", String::from_utf8_lossy(&mended.stdout));
-    let whole = pitchd(&["info", path, "--verify", "--json"]);
-    assert!(
-        whole.status.success(),
-        "{}",
-        String::from_utf8_lossy(&whole.stderr)
-    );
-    let reader = pitchd::recording::SessionReader::open(&session).unwrap();
-    for id in ["first", "third"] {
-        let frames = reader.frames(&pitchd::scene::CameraId::new(id).unwrap()).unwrap();
-        let frames: Vec<_> = frames.map(|f| f.frame).collect();
+    for (id, frames) in frames_of_whole(&session) {
         let numbers: Vec<u64> = frames.iter().map(|f| f.stamp.frame).collect();
         println!(
             "{id}: {} frames, the last is {:?}, {} were seen",

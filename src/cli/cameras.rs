@@ -3,7 +3,8 @@
 use std::net::Ipv4Addr;
 use std::time::Duration;
 
-use crate::capture::aravis::{self, Found, ListedDevice};
+use super::seen::{self, Seen};
+use crate::capture::aravis;
 
 /// List GigE Vision and USB3 Vision cameras.
 #[derive(Debug, clap::Args)]
@@ -23,49 +24,23 @@ pub struct CamerasArgs {
 
 #[derive(serde::Serialize)]
 struct Row {
-    id: String,
-    vendor: String,
-    model: String,
-    serial: String,
-    address: String,
-    user_name: String,
-    protocol: String,
+    #[serde(flatten)]
+    seen: Seen,
     /// Held by a program; unknown for USB.
     in_use: Option<bool>,
     /// Host of that program, where the camera tells it.
     in_use_by: Option<Ipv4Addr>,
 }
 
-impl From<Found> for Row {
-    fn from(found: Found) -> Self {
+impl From<Seen> for Row {
+    fn from(seen: Seen) -> Self {
         let patience = Duration::from_millis(200);
-        let in_use = aravis::is_held(found.address, patience);
+        let in_use = seen.gige.and_then(|address| aravis::is_held(address, patience));
+        let held = seen.gige.filter(|_| in_use == Some(true));
         Self {
-            id: format!("{}-{}-{}", found.vendor, found.model, found.serial),
             in_use,
-            in_use_by: aravis::holder(found.address, patience).filter(|_| in_use == Some(true)),
-            vendor: found.vendor,
-            model: found.model,
-            serial: found.serial,
-            address: found.address.to_string(),
-            user_name: found.user_name,
-            protocol: "GigEVision".to_owned(),
-        }
-    }
-}
-
-impl From<ListedDevice> for Row {
-    fn from(device: ListedDevice) -> Self {
-        Self {
-            id: device.id,
-            vendor: device.vendor,
-            model: device.model,
-            serial: device.serial,
-            address: device.address,
-            user_name: String::new(),
-            protocol: device.protocol,
-            in_use: None,
-            in_use_by: None,
+            in_use_by: held.and_then(|address| aravis::holder(address, patience)),
+            seen,
         }
     }
 }
@@ -75,23 +50,8 @@ impl From<ListedDevice> for Row {
 /// # Errors
 /// None of the addresses asked has a camera.
 pub fn run(args: &CamerasArgs) -> anyhow::Result<()> {
-    let mut rows: Vec<Row> = Vec::new();
-    if args.address.is_empty() {
-        rows.extend(
-            aravis::discover(Duration::from_millis(500))
-                .into_iter()
-                .map(Row::from),
-        );
-        rows.extend(aravis::list_near_devices().into_iter().map(Row::from));
-    } else {
-        let patience = Duration::from_millis(300);
-        rows.extend(
-            args.address
-                .iter()
-                .filter_map(|a| aravis::ping(*a, patience))
-                .map(Row::from),
-        );
-    }
+    let seen = seen::cameras(&args.address, Duration::from_millis(500));
+    let rows: Vec<Row> = seen.into_iter().map(Row::from).collect();
     if args.json {
         say_line!("{}", serde_json::to_string_pretty(&rows)?);
     } else if rows.is_empty() {
@@ -115,13 +75,13 @@ pub fn run(args: &CamerasArgs) -> anyhow::Result<()> {
             };
             say_line!(
                 "{:<16} {:<16} {:<20} {:<16} {:<12} {:<20} {}",
-                row.address,
-                row.serial,
-                row.model,
-                row.user_name,
-                row.protocol,
+                row.seen.address,
+                row.seen.serial,
+                row.seen.model,
+                row.seen.user_name,
+                row.seen.protocol,
                 in_use,
-                row.id
+                row.seen.id
             );
         }
     }

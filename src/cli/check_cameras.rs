@@ -8,7 +8,7 @@ use crate::capture::aravis::{CameraMemory, LiveCamera, LiveCounters, LiveError, 
 use crate::config::{CameraConnection, DaemonConfig};
 use crate::daemon::pipeline::live_options;
 use crate::scene::Rig;
-use crate::time::{StampedMidpoint, SystemClock};
+use crate::time::{PtpDomain, StampedMidpoint, SystemClock};
 
 const WATCHED: Duration = Duration::from_secs(1);
 /// A camera's first frame may be this late.
@@ -28,7 +28,7 @@ pub fn lines(config: &DaemonConfig, rig: &Rig) -> Vec<Line> {
 
 fn try_camera(config: &DaemonConfig, camera: &CameraConnection, rig: &Rig) -> Line {
     let what = format!("camera {}", camera.id);
-    let options = match live_options(config, camera, rig) {
+    let options = match live_options(config, camera, rig, &PtpDomain::default()) {
         Ok(options) => LiveOptions {
             buffers: BUFFERS,
             buffers_ready: BUFFERS,

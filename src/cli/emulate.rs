@@ -26,8 +26,9 @@ Two cameras of a recording that begin together in five seconds:
 
 Commands on standard input, one a line: freeze S, disconnect S, reboot S, clock S (step the device clock),
 faults KEY=VALUE,…, loss P, reorder_ms MS, jitter_ms MS, quit. Faults: loss, reorder, reorder_ms, jitter_ms,
-clock_offset_s, skew_ppm, ptp_apart_s (clock of a PTP network of its own); mangle (share of stream packets that are spoilt), mangling (how: any, noise, cut, long, number,
-block, kind, status, leader, shape, payload, trailer, bits), mangle_control (share of answers).")]
+clock_offset_s, skew_ppm, ptp_apart_s (clock of a PTP network of its own); mangle (share of stream packets that are
+spoilt), mangling (how: any, noise, cut, long, number, block, kind, status, leader, shape, payload, trailer, bits),
+mangle_control (share of answers).")]
 pub struct EmulateArgs {
     /// What the camera sees: a session folder, or `pattern:WIDTHxHEIGHT`.
     pub source: String,

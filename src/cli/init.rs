@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 
-use crate::capture::aravis::{self, Found, ListedDevice};
+use super::seen::{self, Seen};
 
 /// Write a first pitchd.toml and rig.toml from the cameras found.
 #[derive(Debug, clap::Args)]
@@ -26,62 +26,12 @@ pub struct InitArgs {
     pub address: Vec<Ipv4Addr>,
 }
 
-/// A camera that is there, of whichever kind.
-struct Seen {
-    /// `None`: it is not on the network.
-    address: Option<Ipv4Addr>,
-    /// Where, in words.
-    place: String,
-    vendor: String,
-    model: String,
-    serial: String,
-    /// Empty where it has none.
-    user_name: String,
-}
-
-impl From<Found> for Seen {
-    fn from(found: Found) -> Self {
-        Self {
-            address: Some(found.address),
-            place: found.address.to_string(),
-            vendor: found.vendor,
-            model: found.model,
-            serial: found.serial,
-            user_name: found.user_name,
-        }
-    }
-}
-
-impl From<ListedDevice> for Seen {
-    fn from(device: ListedDevice) -> Self {
-        Self {
-            address: None,
-            place: format!("{} {}", device.protocol, device.address),
-            vendor: device.vendor,
-            model: device.model,
-            serial: device.serial,
-            user_name: String::new(),
-        }
-    }
-}
-
 /// Writes both files.
 ///
 /// # Errors
 /// No camera, or a file that is there already.
 pub fn run(args: &InitArgs) -> anyhow::Result<()> {
-    let found: Vec<Seen> = if args.address.is_empty() {
-        let network = aravis::discover(Duration::from_millis(800)).into_iter();
-        let near = aravis::list_near_devices().into_iter();
-        network.map(Seen::from).chain(near.map(Seen::from)).collect()
-    } else {
-        let patience = Duration::from_millis(300);
-        let asked = args.address.iter();
-        asked
-            .filter_map(|a| aravis::ping(*a, patience))
-            .map(Seen::from)
-            .collect()
-    };
+    let found = seen::cameras(&args.address, Duration::from_millis(800));
     if found.is_empty() {
         bail!(
             "no GigE Vision camera answered, and no USB3 Vision camera is plugged in: `pitchd check` looks at the host, \
@@ -164,13 +114,21 @@ quota_gib = 100        # the oldest recordings go beyond this
              # features = [[\"BlackLevel\", 4.0]]   # whatever else it can do, by GenICam name, in this order\n",
             one_line(&camera.vendor),
             one_line(&camera.model),
-            one_line(&camera.place),
+            one_line(&place_of(camera)),
             quoted(name),
             quoted(&camera.serial),
-            link_choices(camera.address)
+            link_choices(camera.gige)
         );
     }
     text
+}
+
+/// Where a camera is, in words.
+fn place_of(camera: &Seen) -> String {
+    match camera.gige {
+        Some(address) => address.to_string(),
+        None => format!("{} {}", camera.protocol, camera.address),
+    }
 }
 
 /// What can be chosen of a camera's link.
@@ -216,6 +174,7 @@ motion = \"flight\"
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::capture::aravis::{Found, ListedDevice};
     use crate::config::{parse_daemon, parse_rig};
 
     fn on_the_network(last: u8, user_name: &str) -> Seen {

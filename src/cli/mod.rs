@@ -20,6 +20,7 @@ mod init;
 mod recover;
 mod replay;
 mod run;
+mod seen;
 mod shell_files;
 mod simulate;
 mod solve;

@@ -22,8 +22,9 @@ Example:
   pitchd run --config /etc/pitchd/pitchd.toml
 
 Pitches come as JSON lines on standard output and in RESULTS/pitches.jsonl. SIGTERM or Ctrl-C finishes the pitch in
-flight and exits 0 (1, with their names, if threads are still at work 25 s later); SIGHUP reads the configuration again: [calibrate], the calibration's file, the recorder's times and
-quota change at once, of everything else it says that it needs a restart; a broken file changes nothing.";
+flight and exits 0 (1, with their names, if threads are still at work 25 s later); SIGHUP reads the configuration again:
+[calibrate], the calibration's file, the recorder's times and quota change at once, of everything else it says that it
+needs a restart; a broken file changes nothing.";
 
 /// Arguments of `pitchd run`.
 #[derive(Debug, clap::Args)]

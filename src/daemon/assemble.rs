@@ -164,11 +164,7 @@ impl Assembler {
             return;
         }
         desk.alone.retain(|ball| !ball.is_old());
-        match desk
-            .alone
-            .iter()
-            .position(|ball| ball.lacks(&seen.track.camera) && ball.may_have(&seen.track))
-        {
+        match desk.alone.iter().position(late) {
             Some(index) => {
                 let mut ball = desk.alone.swap_remove(index);
                 ball.add(seen);
@@ -285,9 +281,15 @@ impl Assembler {
                 for warning in &batch.warnings {
                     tracing::debug!("{warning}");
                 }
-                let mut pitches = batch.pitches.iter();
-                solved.fits = pitches.all(|pitch| misfit(pitch, &batch.calibration).is_none());
-                solved.batch = Some(batch);
+                for pitch in batch.pitches {
+                    if let Some(why) = misfit(&pitch, &batch.calibration) {
+                        solved.misfits.push(why);
+                        continue;
+                    }
+                    let flight = batch.flights.iter().find(|f| f.number == pitch.pitch);
+                    let tracks = flight.map(|f| f.tracks.clone()).unwrap_or_default();
+                    solved.pitches.push((pitch, tracks));
+                }
             }
             Err(error) => tracing::warn!(%error, "a ball was not solved"),
         }
@@ -296,22 +298,16 @@ impl Assembler {
 
     /// Sends the pitches of a solved ball out.
     fn publish(&self, ball: &mut Ball, desk: &mut Desk, wait: Wait) {
-        let Some(Solved {
-            batch: Some(batch), ..
-        }) = ball.solved.take()
-        else {
+        let Some(solved) = ball.solved.take() else {
             return;
         };
-        for mut pitch in batch.pitches {
-            if let Some(why) = misfit(&pitch, &batch.calibration) {
-                desk.misfits += 1;
-                tracing::warn!("a ball is kept back until the next calibration: {why}");
-                continue;
-            }
+        for why in solved.misfits {
+            desk.misfits += 1;
+            tracing::warn!("a ball is kept back until the next calibration: {why}");
+        }
+        for (mut pitch, tracks) in solved.pitches {
             desk.numbers += 1;
             let number = desk.numbers;
-            let solved = batch.flights.iter().find(|f| f.number == pitch.pitch);
-            let tracks = solved.map(|f| f.tracks.clone()).unwrap_or_default();
             ball.published = true;
             pitch.pitch = number;
             let published = Published {

@@ -3,7 +3,6 @@
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use super::batch::Batch;
 use super::looker::SeenTrack;
 use crate::scene::{Calibration, CameraId, Pitch, Track};
 use crate::time::{ArrivalTime, StampedMidpoint};
@@ -39,21 +38,13 @@ pub struct Ball {
     pub published: bool,
 }
 
-/// What came of a ball's tracks with the calibration in use.
+/// What came of a ball's tracks with the calibration in use: nothing where they could not be solved.
 #[derive(Default)]
 pub struct Solved {
-    /// `None` where they could not be solved.
-    pub batch: Option<Batch>,
-    /// Whether every flight of it is a pitch by this calibration.
-    pub fits: bool,
-}
-
-impl Solved {
-    /// The pitches, if there are any and nothing is wrong with them.
-    fn pitches(&self) -> Option<&[Pitch]> {
-        let batch = self.batch.as_ref().filter(|_| self.fits)?;
-        (!batch.pitches.is_empty()).then_some(&batch.pitches)
-    }
+    /// Its pitches, each with the tracks that it was solved from.
+    pub pitches: Vec<(Pitch, Vec<Track>)>,
+    /// Why its other flights are no pitches by this calibration.
+    pub misfits: Vec<String>,
 }
 
 impl Ball {
@@ -144,11 +135,9 @@ impl Ball {
     /// Whether its pitches are as good as they will be: every camera of the calibration has told of it, or followed
     /// nothing when it had crossed the plate. A camera without a calibration cannot add to them.
     pub fn is_complete(&self, cameras: &[Watched], calibration: &Calibration) -> bool {
-        let Some(pitches) = self.solved.as_ref().and_then(Solved::pitches) else {
-            return false;
-        };
-        let plate_ns = pitches.iter().map(|p| p.plate_time_ns).max().unwrap_or(0);
-        self.all_have_told(cameras, delays(calibration), plate_ns)
+        let fits = self.solved.as_ref().filter(|s| s.misfits.is_empty());
+        let plates = fits.and_then(|s| s.pitches.iter().map(|(pitch, _)| pitch.plate_time_ns).max());
+        plates.is_some_and(|plate_ns| self.all_have_told(cameras, delays(calibration), plate_ns))
     }
 
     /// As [`Self::is_complete`], for a ball at the plate at this true time.

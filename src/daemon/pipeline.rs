@@ -139,10 +139,7 @@ pub fn start(
     let network = PtpDomain::default();
     let (mut captures, mut trackers) = (Vec::new(), BTreeMap::new());
     for connection in &config.cameras {
-        let mut options = live_options(config, connection, &rig)?;
-        if let Ptp::WhereAvailable(domain) = &mut options.ptp {
-            *domain = network.clone();
-        }
+        let options = live_options(config, connection, &rig, &network)?;
         let own = Arc::new(CameraHealth::new(connection.id.clone()));
         // The rest of the pool is for the receive thread and the eye's own history.
         let (frames_in, frames) = bounded((connection.buffers * 3 / 4).max(4));
@@ -387,7 +384,7 @@ fn frames_held(eye: &EyeConfig) -> usize {
     3 * eye.detector.lag_frames_max.max(eye.detector.lag_frames) + 3
 }
 
-/// How the daemon opens a camera.
+/// How the daemon opens a camera; `network` is the clock that cameras with PTP follow.
 ///
 /// # Errors
 /// [`DaemonError::NotInRig`].
@@ -395,6 +392,7 @@ pub fn live_options(
     config: &DaemonConfig,
     connection: &CameraConnection,
     rig: &Rig,
+    network: &PtpDomain,
 ) -> Result<LiveOptions, DaemonError> {
     let setup = rig.camera(&connection.id).ok_or_else(|| DaemonError::NotInRig {
         file: config.path.display().to_string(),
@@ -427,7 +425,7 @@ pub fn live_options(
         buffers: ready + frames_recorded(config, setup.width_px as usize * setup.height_px as usize),
         realtime_priority: (connection.realtime_priority > 0).then_some(connection.realtime_priority),
         ptp: if connection.ptp {
-            Ptp::WhereAvailable(PtpDomain::default())
+            Ptp::WhereAvailable(network.clone())
         } else {
             Ptp::Off
         },

@@ -118,14 +118,10 @@ impl Watcher<'_> {
     /// Tracks do not cross a break of the clock: their stamps would not fit each other. What the eye knows of the picture
     /// (its noise, its light) goes on.
     fn keep_to_epoch(&mut self, epoch: u32) {
-        let Some((eye, of_eye)) = &mut self.watching else {
-            return;
-        };
-        if *of_eye == epoch {
+        if self.watching.as_ref().is_none_or(|(_, of_eye)| *of_eye == epoch) {
             return;
         }
-        eye.finish();
-        self.hand_on();
+        self.end_window();
         self.recent.clear();
         if let Some((_, of_eye)) = &mut self.watching {
             *of_eye = epoch;
@@ -137,7 +133,6 @@ impl Watcher<'_> {
             eye.finish();
         }
         self.hand_on();
-        self.watching = None;
     }
 
     /// The balls in flight, and once that there are none any more.

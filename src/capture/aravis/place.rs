@@ -136,7 +136,7 @@ fn others(found: &[probe::Found]) -> String {
 /// [`LiveError::Held`], or no answer.
 pub fn check_free(options: &LiveOptions, address: Ipv4Addr) -> Result<(), LiveError> {
     let camera = options.camera.clone();
-    match (0..3).find_map(|_| probe::is_held(address, PING)) {
+    match Place::Gige(address).is_held() {
         Some(false) => Ok(()),
         Some(true) => Err(LiveError::Held {
             camera,
