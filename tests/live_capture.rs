@@ -340,7 +340,7 @@ fn a_frame_is_one_memory_from_the_receive_thread_to_the_clip() {
             exposure_s: live.exposure_s,
         };
         record_in.send(recorded).unwrap();
-        eye.push(&live.frame).unwrap();
+        eye.push_raw(&live.frame).unwrap();
         // This reader, the recorder and the eye, which compares frames with those before: all hold the same pixels.
         watched.push((stamp.frame, Arc::strong_count(&live.frame.pixels)));
     }

@@ -38,7 +38,7 @@ fn try_camera(config: &DaemonConfig, camera: &CameraConnection, rig: &Rig) -> Li
     };
     let mut memory = CameraMemory::default();
     match LiveCamera::start(&options, &mut memory) {
-        Ok(live) => watch(live, &mut memory, (&what, options.frame_rate_hz)),
+        Ok(live) => watch(live, &mut memory, (&what, &options)),
         Err(error) => refused(&what, &error, camera.address),
     }
 }
@@ -91,7 +91,7 @@ struct Came {
     misshapen: Option<String>,
 }
 
-fn watch(mut live: LiveCamera, memory: &mut CameraMemory, (what, asked_hz): (&str, f64)) -> Line {
+fn watch(mut live: LiveCamera, memory: &mut CameraMemory, (what, options): (&str, &LiveOptions)) -> Line {
     let mut came = Came::default();
     let begun = Instant::now();
     let mut until = begun + FIRST;
@@ -111,15 +111,16 @@ fn watch(mut live: LiveCamera, memory: &mut CameraMemory, (what, asked_hz): (&st
         }
     }
     let place = format!(
-        "{} at {}{}{}",
+        "{} at {}, {}{}{}",
         live.model(),
         live.place(),
+        options.pixel_format,
         packets(live.packet_size()),
         live.ptp_state()
             .map_or_else(String::new, |state| format!(", PTP {state}"))
     );
     live.stop();
-    told(what, &came, (asked_hz, &place), memory.counters())
+    told(what, &came, (options.frame_rate_hz, &place), memory.counters())
 }
 
 /// A camera of the USB bus has none.

@@ -110,6 +110,7 @@ quota_gib = 100        # the oldest recordings go beyond this
         let _ = write!(
             text,
             "\n# {} {}, seen at {}\n[[camera]]\nid = {}\nserial = {}   # the same camera at any place\n{}\
+             # pixel_format = \"Mono12p\"   # Mono8 unless given; the upper eight bits are used\n\
              # gain_db = 6.0\n\
              # features = [[\"BlackLevel\", 4.0]]   # whatever else it can do, by GenICam name, in this order\n",
             one_line(&camera.vendor),

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::{ConfigError, line_of};
-use crate::scene::{CameraId, FeatureValue};
+use crate::scene::{CameraId, FeatureValue, PixelFormat};
 
 /// One camera's connection.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,6 +21,8 @@ pub struct CameraConnection {
     pub user_name: Option<String>,
     /// First column and row of the region on the sensor.
     pub offset_px: (u32, u32),
+    /// How it sends its pixels.
+    pub pixel_format: PixelFormat,
     /// Gain, decibels.
     pub gain_db: Option<f64>,
     /// Packet size; none: negotiated.
@@ -227,6 +229,7 @@ struct CameraFile {
     address: Option<Ipv4Addr>,
     user_name: Option<String>,
     offset_px: Option<[u32; 2]>,
+    pixel_format: Option<toml::Spanned<String>>,
     gain_db: Option<f64>,
     packet_size: Option<toml::Spanned<u32>>,
     buffers: Option<toml::Spanned<usize>>,
@@ -248,6 +251,19 @@ enum UsbTransfers {
     #[default]
     Sync,
     Async,
+}
+
+/// The pixel format asked for; where it is and why it cannot be. The nearest name may not be the nearest format: all of
+/// them are told.
+fn pixel_format_of(camera: &CameraFile) -> Result<PixelFormat, (usize, String)> {
+    let Some(name) = &camera.pixel_format else {
+        return Ok(PixelFormat::default());
+    };
+    PixelFormat::of_name(name.get_ref()).ok_or_else(|| {
+        let known = PixelFormat::ALL.map(PixelFormat::name).join(", ");
+        let why = format!("pixel_format: unknown value `{}`; known: {known}", name.get_ref());
+        (name.span().start, why)
+    })
 }
 
 /// The features asked for; where one is and why it cannot be.
@@ -337,6 +353,7 @@ pub fn parse_daemon(path: &Path, text: &str) -> Result<DaemonConfig, ConfigError
             address: camera.address,
             user_name: camera.user_name.clone(),
             offset_px: camera.offset_px.map_or((0, 0), |[x, y]| (x, y)),
+            pixel_format: pixel_format_of(camera).map_err(|(at, reason)| invalid(at, reason))?,
             gain_db: camera.gain_db,
             packet_size: camera.packet_size.as_ref().map(|s| *s.get_ref()),
             buffers: camera.buffers.as_ref().map_or(48, |b| *b.get_ref()),

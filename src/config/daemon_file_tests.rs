@@ -32,6 +32,25 @@ fn how_usb_frames_are_fetched_is_a_choice() {
 }
 
 #[test]
+fn how_pixels_are_sent_is_a_choice() {
+    let path = Path::new("p.toml");
+    let format = |format: &str| parse_daemon(path, &format!("{GOOD}pixel_format = \"{format}\"\n"));
+    assert_eq!(
+        parse_daemon(path, GOOD).unwrap().cameras[1].pixel_format,
+        PixelFormat::Mono8
+    );
+    for known in PixelFormat::ALL {
+        assert_eq!(format(known.name()).unwrap().cameras[1].pixel_format, known);
+    }
+    let error = format("Mono14").unwrap_err().to_string();
+    assert_eq!(
+        error,
+        "p.toml:8: pixel_format: unknown value `Mono14`; known: Mono8, Mono10p, Mono12p, Mono10Packed, Mono12Packed, \
+         Mono10, Mono12"
+    );
+}
+
+#[test]
 fn features_keep_their_order_and_say_what_is_wrong() {
     let path = Path::new("/etc/pitchd/pitchd.toml");
     let with = |features: &str| parse_daemon(path, &format!("{GOOD}features = {features}\n"));

@@ -12,6 +12,7 @@ use crossbeam_channel::Receiver;
 
 use super::recorder::{HeldFrame, RecorderHealth};
 use crate::config::RecordConfig;
+use crate::detection::UnpackedFrames;
 use crate::recording::{
     CameraGeometry, CameraWriter, FrameFlags, RecordedFrame, RecordingError, SessionOptions, SessionWriter,
 };
@@ -64,6 +65,8 @@ struct Open {
     session: SessionWriter,
     /// Each with the number of the frame last written.
     cameras: BTreeMap<CameraId, (CameraWriter, u64)>,
+    /// Memory for what is unpacked on its way.
+    unpacked: UnpackedFrames,
     since: Instant,
     frames: u64,
     bytes: u64,
@@ -92,13 +95,23 @@ impl Open {
             false => FrameFlags::default(),
         };
         *last = number;
+        let raw = &held.frame;
+        // What the detector sees: a replay then does what was done live, and a pixel is one byte.
+        let Some(frame) = self.unpacked.image(raw) else {
+            return Err(RecordingError::FrameSize {
+                camera: held.camera.clone(),
+                frame: number,
+                got_px: (raw.bytes().len() as u64, 1),
+                expected_px: (raw.width_px, raw.height_px),
+            });
+        };
+        self.bytes += frame.bytes().len() as u64;
         writer.write(&RecordedFrame {
-            frame: held.frame.clone(),
+            frame,
             exposure_s: Some(held.exposure_s),
             flags,
         })?;
         self.frames += 1;
-        self.bytes += held.frame.bytes().len() as u64;
         Ok(())
     }
 
@@ -219,6 +232,7 @@ impl ClipDisk {
         Ok(Open {
             session: SessionWriter::create(&self.config.folder.join(name), options)?,
             cameras: BTreeMap::new(),
+            unpacked: UnpackedFrames::default(),
             since: Instant::now(),
             frames: 0,
             bytes: 0,

@@ -62,7 +62,7 @@ use crate::capture::aravis::{
 };
 use crate::config::{CameraConnection, DaemonConfig, RecordConfig, RecordMode};
 use crate::eye::EyeConfig;
-use crate::scene::{Calibration, Rig};
+use crate::scene::{Calibration, PixelFormat, Rig};
 use crate::time::PtpDomain;
 
 /// Why the daemon cannot start.
@@ -379,9 +379,13 @@ fn with_stamps_roughly_alike(mut rig: Rig) -> Rig {
     rig
 }
 
-/// Frames that an eye keeps to compare with: a pool that is no larger starves its camera.
-fn frames_held(eye: &EyeConfig) -> usize {
-    3 * eye.detector.lag_frames_max.max(eye.detector.lag_frames) + 3
+/// Frames that an eye keeps to compare with: a pool that is no larger starves its camera. Unpacked ones are in memory of
+/// the eye's own.
+fn frames_held(eye: &EyeConfig, format: PixelFormat) -> usize {
+    match format {
+        PixelFormat::Mono8 => 3 * eye.detector.lag_frames_max.max(eye.detector.lag_frames) + 3,
+        _ => 0,
+    }
 }
 
 /// How the daemon opens a camera; `network` is the clock that cameras with PTP follow.
@@ -404,9 +408,12 @@ pub fn live_options(
         address: connection.address,
         user_name: connection.user_name.clone(),
     };
-    let ready = connection.buffers + frames_held(&EyeConfig::of_rig(rig, &connection.id));
+    let format = connection.pixel_format;
+    let ready = connection.buffers + frames_held(&EyeConfig::of_rig(rig, &connection.id), format);
+    let frame_bytes = format.bytes(setup.width_px as usize * setup.height_px as usize);
     Ok(LiveOptions {
         offset_px: connection.offset_px,
+        pixel_format: format,
         exposure_s: setup.exposure_s,
         gain_db: connection.gain_db,
         packet_size: connection.packet_size,
@@ -422,7 +429,7 @@ pub fn live_options(
         },
         socket_buffer_bytes: connection.socket_buffer_bytes,
         buffers_ready: ready,
-        buffers: ready + frames_recorded(config, setup.width_px as usize * setup.height_px as usize),
+        buffers: ready + frames_recorded(config, frame_bytes),
         realtime_priority: (connection.realtime_priority > 0).then_some(connection.realtime_priority),
         ptp: if connection.ptp {
             Ptp::WhereAvailable(network.clone())

@@ -13,7 +13,7 @@ use crossbeam_channel::{Receiver, Sender};
 
 use super::clip_disk::DiskJob;
 use crate::config::{RecordConfig, RecordMode};
-use crate::scene::{CameraId, Frame};
+use crate::scene::{CameraId, RawFrame};
 
 /// What the recorder has done and left undone.
 #[derive(Debug, Default)]
@@ -52,15 +52,15 @@ impl RecorderHealth {
 pub struct HeldFrame {
     /// Whose.
     pub camera: CameraId,
-    /// The frame.
-    pub frame: Frame,
+    /// The frame, as it came.
+    pub frame: RawFrame,
     /// Exposure, seconds.
     pub exposure_s: f64,
     health: Arc<RecorderHealth>,
 }
 
 impl HeldFrame {
-    fn new(camera: CameraId, frame: Frame, exposure_s: f64, health: &Arc<RecorderHealth>) -> Self {
+    fn new(camera: CameraId, frame: RawFrame, exposure_s: f64, health: &Arc<RecorderHealth>) -> Self {
         health
             .held_bytes
             .fetch_add(frame.bytes().len(), Ordering::Relaxed);
@@ -87,8 +87,8 @@ impl Drop for HeldFrame {
 pub struct RecordedLive {
     /// Whose.
     pub camera: CameraId,
-    /// The frame.
-    pub frame: Frame,
+    /// The frame, as it came.
+    pub frame: RawFrame,
     /// Exposure, seconds.
     pub exposure_s: f64,
 }

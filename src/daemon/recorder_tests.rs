@@ -7,7 +7,7 @@ use crossbeam_channel::{bounded, unbounded};
 use super::*;
 use crate::daemon::clip_disk::ClipDisk;
 use crate::recording::{FrameFlags, Holes, SessionReader};
-use crate::scene::FrameStamp;
+use crate::scene::{FrameStamp, PixelFormat};
 use crate::time::StampedMidpoint;
 
 const BYTES: usize = 64 * 32;
@@ -26,7 +26,7 @@ fn config(folder: &Path, mode: RecordMode) -> RecordConfig {
 fn live(camera: &str, k: i64) -> RecordedLive {
     RecordedLive {
         camera: CameraId::new(camera).unwrap(),
-        frame: Frame {
+        frame: RawFrame {
             stamp: FrameStamp {
                 frame: k as u64,
                 device: None,
@@ -35,6 +35,7 @@ fn live(camera: &str, k: i64) -> RecordedLive {
             },
             width_px: 64,
             height_px: 32,
+            format: PixelFormat::Mono8,
             pixels: Arc::new(vec![7_u8; BYTES]),
         },
         exposure_s: 0.001,
@@ -283,4 +284,37 @@ fn bytes_below(folder: &Path) -> u64 {
         .filter_map(|s| std::fs::read_dir(s).ok());
     let files = files.flatten().flatten().filter_map(|e| e.metadata().ok());
     files.map(|m| m.len()).sum()
+}
+
+#[test]
+fn packed_frames_are_recorded_as_the_detector_sees_them() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = config(folder.path(), RecordMode::Clips);
+    let (disk_in, disk) = bounded(4);
+    let health = Arc::new(RecorderHealth::default());
+    let camera = CameraId::new("first").unwrap();
+    let mut recorder = Recorder::new(config.clone(), vec![camera.clone()], disk_in, health.clone());
+    // Two pixels of twelve bits, 0x7bc and 0x123, again and again.
+    let packed: Arc<Vec<u8>> = Arc::new([0xbc, 0x37, 0x12].repeat(BYTES / 2));
+    for k in 1..=30 {
+        let mut packed_live = live("first", k);
+        packed_live.frame.format = PixelFormat::Mono12p;
+        packed_live.frame.pixels = packed.clone();
+        recorder.take(packed_live);
+    }
+    assert_eq!(
+        health.held_bytes.load(Ordering::Relaxed),
+        30 * BYTES * 3 / 2,
+        "memory is counted as it is held"
+    );
+    let (first_ns, last_ns) = (100_000_000, 200_000_000);
+    recorder.cut(ClipTrigger { first_ns, last_ns });
+    drop(recorder);
+    disk_thread_of(config, &health).run(&disk);
+    let session = SessionReader::open(&sessions(folder.path())[0]).unwrap();
+    let frames: Vec<_> = session.frames(&camera).unwrap().collect();
+    assert_eq!(frames.len(), 30);
+    for recorded in frames {
+        assert_eq!(recorded.frame.bytes(), [0x7b, 0x12].repeat(BYTES / 2));
+    }
 }

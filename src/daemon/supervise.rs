@@ -229,8 +229,8 @@ impl Supervisor {
             Next::Misshapen(shape) => {
                 let (width, height) = self.options.size_px;
                 tracing::warn!(
-                    %camera, "frames come as {shape}, asked were {width}x{height} Mono8: another program has changed the \
-                     camera, or its firmware is at fault; power it off and on"
+                    %camera, "frames come as {shape}, asked were {width}x{height} {}: another program has changed the \
+                     camera, or its firmware is at fault; power it off and on", self.options.pixel_format
                 );
             }
             _ => tracing::warn!(

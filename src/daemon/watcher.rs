@@ -94,7 +94,7 @@ impl Watcher<'_> {
         for step in self.channels.steps.try_iter() {
             eye.adapt(step);
         }
-        match eye.push(frame) {
+        match eye.push_raw(frame) {
             Ok(()) => self.health.processed.fetch_add(1, Ordering::Relaxed),
             Err(error) => {
                 tracing::debug!(camera = %self.health.camera, frame = frame.stamp.frame, %error, "not searched");

@@ -4,7 +4,8 @@
 use super::fronts::{self, TILES_MAX, TileRun};
 use super::kernel::{self, WindowSums};
 use super::lanes::{Look, PixelLanes, Sums};
-use super::packing::{self, Packing};
+use super::packing;
+use crate::scene::PixelFormat;
 
 /// An instruction set the kernels are compiled for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -194,7 +195,7 @@ dispatched!(
 dispatched!(
     packing:
     /// See [`packing::unpack`].
-    unpack(packing: Packing, packed: &[u8], levels: &mut [u8])
+    unpack(format: PixelFormat, packed: &[u8], levels: &mut [u8])
 );
 dispatched!(
     fronts:

@@ -44,7 +44,6 @@ pub use config::{DetectorConfig, PixelRect};
 pub use detector::{Answers, Detector, DetectorCounters, ExpectedBall};
 pub use dispatch::{Isa, Kernels};
 pub use error::DetectionError;
-pub use packed::PackedFrame;
-pub use packing::Packing;
+pub use packed::UnpackedFrames;
 pub use patches::PatchPool as CutOuts;
 pub use refine::{Refinement, Refiner};

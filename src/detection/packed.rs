@@ -3,27 +3,12 @@
 use std::sync::Arc;
 
 use super::detector::{Answers, Detector};
+use super::dispatch::{Isa, Kernels};
 use super::error::DetectionError;
 use super::kernel::TILE_HEIGHT_PX;
-use super::packing::Packing;
-use crate::scene::{Frame, FrameStamp};
+use crate::scene::{Frame, RawFrame};
 
-/// A frame as a camera packs it, rows from the top, no padding.
-#[derive(Debug, Clone, Copy)]
-pub struct PackedFrame<'a> {
-    /// Which frame, and when.
-    pub stamp: FrameStamp,
-    /// Columns.
-    pub width_px: u32,
-    /// Rows.
-    pub height_px: u32,
-    /// How its pixels are packed.
-    pub packing: Packing,
-    /// Its bytes.
-    pub bytes: &'a [u8],
-}
-
-/// Memory of the frames that the detector has unpacked: used again once nobody compares with them any more.
+/// Memory of frames that have been unpacked: used again once nobody reads them any more.
 #[derive(Default)]
 pub struct UnpackedFrames {
     all: Vec<Arc<Vec<u8>>>,
@@ -41,34 +26,58 @@ impl UnpackedFrames {
             None => Arc::new(vec![0; bytes]),
         }
     }
+
+    fn frame(&mut self, raw: &RawFrame, levels: Arc<Vec<u8>>) -> Frame {
+        self.all.push(levels.clone());
+        Frame {
+            stamp: raw.stamp,
+            width_px: raw.width_px,
+            height_px: raw.height_px,
+            pixels: levels,
+        }
+    }
+
+    /// The image that the detector sees: a Mono8 frame as it is, of any other the upper eight bits. `None`: its bytes do
+    /// not fill it.
+    pub fn image(&mut self, raw: &RawFrame) -> Option<Frame> {
+        let pixels = raw.width_px as usize * raw.height_px as usize;
+        if raw.bytes().len() < raw.format.bytes(pixels) {
+            return None;
+        }
+        if let Some(frame) = raw.mono8() {
+            return Some(frame);
+        }
+        let mut levels = self.spare(pixels);
+        Kernels::new(Isa::detect()).unpack(raw.format, raw.bytes(), Arc::get_mut(&mut levels)?);
+        Some(self.frame(raw, levels))
+    }
 }
 
 impl Detector {
-    /// [`Detector::detect`] of a packed frame by its upper eight bits.
+    /// [`Detector::detect`] of a frame as its camera sent it: of a packed one by its upper eight bits.
     ///
     /// # Errors
     /// A frame of another size.
-    pub fn detect_packed(
-        &mut self,
-        frame: &PackedFrame<'_>,
-        answers: &mut dyn Answers,
-    ) -> Result<(), DetectionError> {
-        let pixels = self.width_px * self.height_px;
-        let fits = frame.width_px as usize == self.width_px && frame.height_px as usize == self.height_px;
-        if !fits || pixels == 0 || frame.bytes.len() < frame.packing.bytes(pixels) {
-            let size_px = (frame.width_px, frame.height_px);
-            return Err(self.wrong_size(frame.stamp, size_px, frame.bytes.len()));
+    pub fn detect_raw(&mut self, raw: &RawFrame, answers: &mut dyn Answers) -> Result<(), DetectionError> {
+        if let Some(frame) = raw.mono8() {
+            return self.detect(&frame, answers);
         }
-        self.begin(frame.stamp, answers);
+        let pixels = self.width_px * self.height_px;
+        let fits = raw.width_px as usize == self.width_px && raw.height_px as usize == self.height_px;
+        if !fits || pixels == 0 || raw.bytes().len() < raw.format.bytes(pixels) {
+            let size_px = (raw.width_px, raw.height_px);
+            return Err(self.wrong_size(raw.stamp, size_px, raw.bytes().len()));
+        }
+        self.begin(raw.stamp, answers);
         let mut changed = self.history.spare_map(self.width_px, self.height_px);
         let previous = self.history.newest().map(|seen| seen.frame.clone());
         let mut levels = self.unpacked.spare(pixels);
         if let Some(levels) = Arc::get_mut(&mut levels) {
             let band_pixels = self.width_px * TILE_HEIGHT_PX;
             // Eight rows of any width end with a byte.
-            let packed = frame.bytes.chunks(frame.packing.bytes(band_pixels));
+            let packed = raw.bytes().chunks(raw.format.bytes(band_pixels));
             for (band, (packed, levels)) in packed.zip(levels.chunks_mut(band_pixels)).enumerate() {
-                self.kernels.unpack(frame.packing, packed, levels);
+                self.kernels.unpack(raw.format, packed, levels);
                 let begin = band * band_pixels;
                 let before = previous.as_ref().map(|frame| frame.bytes());
                 if let Some(before) = before.and_then(|all| all.get(begin..begin + levels.len())) {
@@ -76,13 +85,7 @@ impl Detector {
                 }
             }
         }
-        self.unpacked.all.push(levels.clone());
-        let unpacked = Frame {
-            stamp: frame.stamp,
-            width_px: frame.width_px,
-            height_px: frame.height_px,
-            pixels: levels,
-        };
+        let unpacked = self.unpacked.frame(raw, levels);
         self.take(unpacked, previous.is_some().then_some(changed), answers);
         Ok(())
     }
@@ -94,7 +97,7 @@ mod tests {
     use crate::detection::DetectorConfig;
     use crate::detection::packing::tests::{ALL, pack};
     use crate::detection::painter::{Ball, Canvas};
-    use crate::scene::Detection;
+    use crate::scene::{Detection, FrameStamp, PixelFormat};
 
     #[derive(Default)]
     struct All(Vec<Detection>);
@@ -129,34 +132,34 @@ mod tests {
         }
         plain.flush(&mut whole);
         assert!(whole.0.len() >= 24, "{} candidates", whole.0.len());
-        for (packing, bits) in ALL {
-            let (mut found, mut detector) = (All::default(), detector());
+        for (format, bits) in ALL {
+            let (mut found, mut detector, mut whole_images) =
+                (All::default(), detector(), UnpackedFrames::default());
             for frame in &frames {
                 // The lower bits are anything.
                 let values = frame.bytes().iter().enumerate();
                 let values: Vec<u16> = values
                     .map(|(i, v)| (u16::from(*v) << (bits - 8)) | ((i % 16) as u16 & ((1 << (bits - 8)) - 1)))
                     .collect();
-                let packed = PackedFrame {
-                    stamp: frame.stamp,
-                    width_px: 300,
-                    height_px: 97,
-                    packing,
-                    bytes: &pack(packing, &values),
+                let raw = RawFrame {
+                    format,
+                    pixels: Arc::new(pack(format, &values)),
+                    ..RawFrame::from(frame.clone())
                 };
-                detector.detect_packed(&packed, &mut found).unwrap();
+                assert_eq!(whole_images.image(&raw).unwrap().bytes(), frame.bytes());
+                detector.detect_raw(&raw, &mut found).unwrap();
             }
             detector.flush(&mut found);
-            assert_eq!(found.0, whole.0, "{packing:?}");
+            assert_eq!(found.0, whole.0, "{format}");
             assert!(detector.unpacked.all.len() <= 30, "memory is used again");
+            assert_eq!(whole_images.all.len(), 1, "memory is used again");
         }
-        let short = PackedFrame {
-            stamp: frames[0].stamp,
-            width_px: 300,
-            height_px: 97,
-            packing: Packing::Mono12p,
-            bytes: &[0; 100],
+        let short = RawFrame {
+            format: PixelFormat::Mono12p,
+            pixels: Arc::new(vec![0; 100]),
+            ..RawFrame::from(frames[0].clone())
         };
-        assert!(detector().detect_packed(&short, &mut All::default()).is_err());
+        assert!(detector().detect_raw(&short, &mut All::default()).is_err());
+        assert!(UnpackedFrames::default().image(&short).is_none());
     }
 }

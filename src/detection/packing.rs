@@ -1,55 +1,21 @@
-//! Pixels of ten and twelve bits as cameras send them, and their upper eight bits.
-//!
-//! Names and layouts are those of the Pixel Format Naming Convention (`…p`: little-endian bit stream) and of GigE Vision
-//! (`…Packed`: two pixels in three bytes, the low bits of both in the middle one).
+//! Pixels of ten and twelve bits to their upper eight bits.
 
-/// How a camera packs its pixels.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Packing {
-    /// Ten bits each, four pixels in five bytes.
-    Mono10p,
-    /// Twelve bits each, two pixels in three bytes.
-    Mono12p,
-    /// Ten bits each, two pixels in three bytes.
-    Mono10Packed,
-    /// Twelve bits each, two pixels in three bytes.
-    Mono12Packed,
-    /// Ten bits in two bytes, little-endian.
-    Mono10,
-    /// Twelve bits in two bytes, little-endian.
-    Mono12,
-}
-
-impl Packing {
-    /// Pixels that are packed together, and the bytes they take.
-    pub fn group(self) -> (usize, usize) {
-        match self {
-            Self::Mono10p => (4, 5),
-            Self::Mono12p | Self::Mono10Packed | Self::Mono12Packed => (2, 3),
-            Self::Mono10 | Self::Mono12 => (1, 2),
-        }
-    }
-
-    /// Bytes of this many pixels, rows one after the other without padding.
-    pub fn bytes(self, pixels: usize) -> usize {
-        let (group, bytes) = self.group();
-        pixels.div_ceil(group) * bytes
-    }
-}
+use crate::scene::PixelFormat;
 
 /// The upper eight bits of each pixel. Pixels that `packed` lacks stay as they are.
 #[inline(always)]
-pub fn unpack(packing: Packing, packed: &[u8], levels: &mut [u8]) {
-    match packing {
-        Packing::Mono10p => groups(packed, levels, |[a, b, c, d, e]: [u8; 5]| {
+pub fn unpack(format: PixelFormat, packed: &[u8], levels: &mut [u8]) {
+    match format {
+        PixelFormat::Mono8 => groups(packed, levels, |level: [u8; 1]| level),
+        PixelFormat::Mono10p => groups(packed, levels, |[a, b, c, d, e]: [u8; 5]| {
             [a >> 2 | b << 6, b >> 4 | c << 4, c >> 6 | d << 2, e]
         }),
-        Packing::Mono12p => groups(packed, levels, |[a, b, c]: [u8; 3]| [a >> 4 | b << 4, c]),
-        Packing::Mono10Packed | Packing::Mono12Packed => {
+        PixelFormat::Mono12p => groups(packed, levels, |[a, b, c]: [u8; 3]| [a >> 4 | b << 4, c]),
+        PixelFormat::Mono10Packed | PixelFormat::Mono12Packed => {
             groups(packed, levels, |[a, _, c]: [u8; 3]| [a, c]);
         }
-        Packing::Mono10 => groups(packed, levels, |[a, b]: [u8; 2]| [a >> 2 | b << 6]),
-        Packing::Mono12 => groups(packed, levels, |[a, b]: [u8; 2]| [a >> 4 | b << 4]),
+        PixelFormat::Mono10 => groups(packed, levels, |[a, b]: [u8; 2]| [a >> 2 | b << 6]),
+        PixelFormat::Mono12 => groups(packed, levels, |[a, b]: [u8; 2]| [a >> 4 | b << 4]),
     }
 }
 
@@ -79,7 +45,7 @@ pub mod tests {
     use proptest::prelude::*;
 
     /// Packs bit by bit, as the standards' figures show it.
-    pub fn pack(packing: Packing, values: &[u16]) -> Vec<u8> {
+    pub fn pack(format: PixelFormat, values: &[u16]) -> Vec<u8> {
         let stream = |bits: usize| {
             let mut out = vec![0u8; (values.len() * bits).div_ceil(8)];
             for (i, value) in values.iter().enumerate() {
@@ -87,7 +53,7 @@ pub mod tests {
                     out[(i * bits + bit) / 8] |= 1 << ((i * bits + bit) % 8);
                 }
             }
-            out.resize(packing.bytes(values.len()), 0);
+            out.resize(format.bytes(values.len()), 0);
             out
         };
         let threes = |bits: u32| {
@@ -106,36 +72,65 @@ pub mod tests {
                 })
                 .collect()
         };
-        match packing {
-            Packing::Mono10p => stream(10),
-            Packing::Mono12p => stream(12),
-            Packing::Mono10Packed => threes(10),
-            Packing::Mono12Packed => threes(12),
-            Packing::Mono10 | Packing::Mono12 => values.iter().flat_map(|v| v.to_le_bytes()).collect(),
+        match format {
+            PixelFormat::Mono8 => values.iter().map(|v| *v as u8).collect(),
+            PixelFormat::Mono10p => stream(10),
+            PixelFormat::Mono12p => stream(12),
+            PixelFormat::Mono10Packed => threes(10),
+            PixelFormat::Mono12Packed => threes(12),
+            PixelFormat::Mono10 | PixelFormat::Mono12 => {
+                values.iter().flat_map(|v| v.to_le_bytes()).collect()
+            }
         }
     }
 
-    pub const ALL: [(Packing, u32); 6] = [
-        (Packing::Mono10p, 10),
-        (Packing::Mono12p, 12),
-        (Packing::Mono10Packed, 10),
-        (Packing::Mono12Packed, 12),
-        (Packing::Mono10, 10),
-        (Packing::Mono12, 12),
+    pub const ALL: [(PixelFormat, u32); 6] = [
+        (PixelFormat::Mono10p, 10),
+        (PixelFormat::Mono12p, 12),
+        (PixelFormat::Mono10Packed, 10),
+        (PixelFormat::Mono12Packed, 12),
+        (PixelFormat::Mono10, 10),
+        (PixelFormat::Mono12, 12),
     ];
+
+    #[test]
+    fn bytes_are_those_of_the_standards() {
+        // Pixels 0xabc and 0x123 of twelve bits; 0x2af, 0x05b, 0x3c1 and 0x16e of ten (their eights: ab, 16, f0, 5b).
+        for (format, packed, levels) in [
+            (PixelFormat::Mono8, &[0xab, 0x12][..], &[0xab, 0x12][..]),
+            // PFNC: p0 bits 0–7 | p0 bits 8–11 low, p1 bits 0–3 high | p1 bits 4–11.
+            (PixelFormat::Mono12p, &[0xbc, 0x3a, 0x12], &[0xab, 0x12]),
+            // GigE Vision: p0 bits 4–11 | p0 bits 0–3 low, p1 bits 0–3 high | p1 bits 4–11.
+            (PixelFormat::Mono12Packed, &[0xab, 0x3c, 0x12], &[0xab, 0x12]),
+            // p0 bits 2–9 | p0 bits 0–1 at 0, p1 bits 0–1 at 4 | p1 bits 2–9.
+            (PixelFormat::Mono10Packed, &[0xab, 0x33, 0x16], &[0xab, 0x16]),
+            // Ten bits after ten bits: 0x2af | 0x05b << 10 | 0x3c1 << 20 | 0x16e << 30, low byte first.
+            (
+                PixelFormat::Mono10p,
+                &[0xaf, 0x6e, 0x11, 0xbc, 0x5b],
+                &[0xab, 0x16, 0xf0, 0x5b],
+            ),
+            (PixelFormat::Mono12, &[0xbc, 0x0a, 0x23, 0x01], &[0xab, 0x12]),
+            (PixelFormat::Mono10, &[0xaf, 0x02, 0x5b, 0x00], &[0xab, 0x16]),
+        ] {
+            let mut unpacked = vec![0; levels.len()];
+            unpack(format, packed, &mut unpacked);
+            assert_eq!(unpacked, levels, "{format}");
+        }
+    }
 
     proptest! {
         #[test]
         fn every_packing_gives_its_upper_bits(values in prop::collection::vec(any::<u16>(), 0..300)) {
-            for (packing, bits) in ALL {
+            for (format, bits) in ALL {
                 let values: Vec<u16> = values.iter().map(|v| v >> (16 - bits)).collect();
-                let packed = pack(packing, &values);
-                prop_assert_eq!(packed.len(), packing.bytes(values.len()));
+                let packed = pack(format, &values);
+                prop_assert_eq!(packed.len(), format.bytes(values.len()));
                 let expected: Vec<u8> = values.iter().map(|v| (v >> (bits - 8)) as u8).collect();
                 for isa in Isa::available() {
                     let mut levels = vec![0; values.len()];
-                    Kernels::new(*isa).unpack(packing, &packed, &mut levels);
-                    prop_assert_eq!(&levels, &expected, "{:?} {:?}", packing, isa);
+                    Kernels::new(*isa).unpack(format, &packed, &mut levels);
+                    prop_assert_eq!(&levels, &expected, "{:?} {:?}", format, isa);
                 }
             }
         }

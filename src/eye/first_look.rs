@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 
 use super::EyeConfig;
 use crate::detection::{Answers, CutOuts, DetectionError, Detector, DetectorCounters, ExpectedBall};
-use crate::scene::{CameraId, Detection, Frame, FrameStamp};
+use crate::scene::{CameraId, Detection, Frame, FrameStamp, RawFrame};
 use crate::tracking::{OpenPath, TrackKind, TrackedBall, Tracker, TrackerCounters};
 
 /// A ball that was missed in so many frames has most likely ended; the path is given up after some more.
@@ -103,9 +103,23 @@ impl FirstLook {
     /// A frame of another size.
     pub fn push(&mut self, frame: &Frame) -> Result<(), DetectionError> {
         let result = self.detector.detect(frame, &mut Guided(&mut self.tracker));
+        self.keep_ended();
+        result
+    }
+
+    /// As [`Self::push`], of a frame as its camera sent it.
+    ///
+    /// # Errors
+    /// A frame of another size.
+    pub fn push_raw(&mut self, raw: &RawFrame) -> Result<(), DetectionError> {
+        let result = self.detector.detect_raw(raw, &mut Guided(&mut self.tracker));
+        self.keep_ended();
+        result
+    }
+
+    fn keep_ended(&mut self) {
         let balls = self.tracker.drain();
         self.keep(balls);
-        result
     }
 
     /// Ends the recording: what was still open is decided.

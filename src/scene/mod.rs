@@ -11,6 +11,7 @@ mod feature;
 mod field;
 mod frame;
 mod pitch;
+mod pixel_format;
 mod rig;
 mod track;
 
@@ -21,8 +22,9 @@ pub use camera::{CameraId, CameraIdError};
 pub use detection::Detection;
 pub use feature::FeatureValue;
 pub use field::{FieldPreset, UnknownLandmark};
-pub use frame::{Frame, FrameStamp};
+pub use frame::{Frame, FrameStamp, RawFrame};
 pub use pitch::{FlightSample, Outlook, Pitch, PitchQuality, PitchSigma, StatcastRow};
+pub use pixel_format::PixelFormat;
 pub use rig::{
     CameraSetup, DistanceMeasurement, Landmark, LandmarkPosition, Motion, Rig, RollingShutter, Site,
 };

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use aravis::glib::translate::IntoGlib;
 use aravis::prelude::*;
-use aravis::{Buffer, BufferPayloadType, BufferStatus, Camera, PixelFormat};
+use aravis::{Buffer, BufferPayloadType, BufferStatus, Camera};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender, bounded, unbounded};
 
 use super::description;
@@ -17,7 +17,7 @@ use super::options::LiveOptions;
 use super::place::{self, Place};
 use super::pool::BufferMaker;
 use super::ptp::PtpFollower;
-use crate::scene::{Frame, FrameStamp};
+use crate::scene::{FrameStamp, PixelFormat, RawFrame};
 use crate::time::{
     ArrivalTime, ClockEvent, ClockLine, ClockModel, ClockModelOptions, ClockReading, DeviceTime, HostClock,
     StampedMidpoint,
@@ -45,8 +45,8 @@ pub struct LiveCounters {
 /// A frame with what the clock model says of it.
 #[derive(Debug, Clone)]
 pub struct LiveFrame {
-    /// Image and times.
-    pub frame: Frame,
+    /// Image, as it came, and times.
+    pub frame: RawFrame,
     /// 1σ of the stamp, seconds.
     pub stamp_sigma_s: f64,
     /// Rises when the capture delay may have changed.
@@ -279,7 +279,6 @@ impl LiveCamera {
         };
         self.in_stream = self.in_stream.saturating_sub(1);
         let (width_px, height_px) = self.options.size_px;
-        let count = width_px as usize * height_px as usize;
         // Metadata of a buffer that is not complete is of its previous use.
         let (id, device_ns, arrival_unix_ns) =
             (buffer.frame_id(), buffer.timestamp(), buffer.system_timestamp());
@@ -292,7 +291,7 @@ impl LiveCamera {
             buffer,
             bytes: self.payload_bytes,
         };
-        match PooledFrame::new(buffer, count, memory.home.clone()) {
+        match PooledFrame::new(buffer, self.options.frame_bytes(), memory.home.clone()) {
             Err(buffer) => {
                 self.push(buffer);
                 memory.counters.incomplete += 1;
@@ -303,10 +302,11 @@ impl LiveCamera {
                 let arrival = clock.monotonic_of_unix(arrival_unix_ns);
                 let (stamp, reading, lost_before) = self.stamp(memory, (id, device_ns), arrival);
                 Next::Frame(LiveFrame {
-                    frame: Frame {
+                    frame: RawFrame {
                         stamp,
                         width_px,
                         height_px,
+                        format: self.options.pixel_format,
                         pixels: Arc::new(pixels),
                     },
                     stamp_sigma_s: reading.sigma_s,
@@ -334,17 +334,19 @@ impl LiveCamera {
             return Some(format!("no image ({payload:?})"));
         }
         let got = [buffer.image_width(), buffer.image_height()].map(|n| u32::try_from(n).unwrap_or(0));
-        let format = buffer.image_pixel_format();
-        let fits = (got[0], got[1]) == self.options.size_px && format == PixelFormat::MONO_8;
-        let (asked, received) = (self.options.size_px, buffer.data().1);
-        if fits && received < asked.0 as usize * asked.1 as usize {
+        let code = buffer.image_pixel_format().into_glib();
+        let asked = &self.options;
+        if (got[0], got[1]) != asked.size_px || code != asked.pixel_format.code() {
+            let name = PixelFormat::of_code(code)
+                .map_or_else(|| format!("pixel format {code:#010x}"), |f| f.to_string());
+            return Some(format!("{}x{} {name}", got[0], got[1]));
+        }
+        let received = buffer.data().1;
+        if received < asked.frame_bytes() {
             return Some(format!("{received} bytes"));
         }
-        let name = match format {
-            PixelFormat::MONO_8 => "Mono8".to_owned(),
-            other => format!("pixel format {:#010x}", other.into_glib()),
-        };
-        (!fits).then(|| format!("{}x{} {name}", got[0], got[1]))
+        let (padding, _) = buffer.image_padding();
+        (padding != 0).then(|| format!("rows with {padding} bytes of padding"))
     }
 
     fn stamp(

@@ -4,7 +4,7 @@ use std::net::Ipv4Addr;
 
 use super::description::DescriptionError;
 use super::place::Place;
-use crate::scene::CameraId;
+use crate::scene::{CameraId, PixelFormat};
 
 /// A live camera's trouble.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -84,15 +84,17 @@ pub enum LiveError {
         /// The system's words.
         reason: String,
     },
-    /// It cannot give Mono8.
+    /// It cannot send its pixels as asked.
     #[error(
-        "camera {camera}: no pixel format Mono8 (it has {available}); choose a monochrome camera or mode"
+        "camera {camera}: no pixel format {asked} (it has {}); {}", available.join(", "), instead_of(available)
     )]
     PixelFormat {
         /// Camera.
         camera: CameraId,
-        /// What it has.
-        available: String,
+        /// How.
+        asked: PixelFormat,
+        /// The names of what it has.
+        available: Vec<String>,
     },
     /// A setting is refused.
     #[error("camera {camera}: {setting} = {value} is refused: {reason}")]
@@ -155,6 +157,17 @@ pub enum LiveError {
         /// The library's words.
         reason: String,
     },
+}
+
+/// What to write where the camera has a format that can be used.
+fn instead_of(available: &[String]) -> String {
+    let has = |format: &PixelFormat| available.iter().any(|name| name == format.name());
+    let usable = PixelFormat::ALL.into_iter().filter(has);
+    let lines: Vec<String> = usable.map(|f| format!("pixel_format = \"{f}\"")).collect();
+    if lines.is_empty() {
+        return "choose a monochrome camera or mode".to_owned();
+    }
+    format!("write {} in its part of pitchd.toml", lines.join(" or "))
 }
 
 fn in_words(places: &[Place]) -> String {

@@ -1,7 +1,7 @@
 //! Opens and sets up one camera.
 
 use aravis::prelude::*;
-use aravis::{Camera, GvStreamOption, GvStreamPacketResend, GvStreamSocketBuffer, PixelFormat, UvUsbMode};
+use aravis::{Camera, GvStreamOption, GvStreamPacketResend, GvStreamSocketBuffer, UvUsbMode};
 
 use super::error::LiveError;
 use super::features;
@@ -123,25 +123,27 @@ fn shorten_heartbeat(options: &LiveOptions, camera: &Camera) {
     }
 }
 
-fn set_image(options: &LiveOptions, camera: &Camera) -> Result<(), LiveError> {
-    if camera.set_pixel_format(PixelFormat::MONO_8).is_err()
-        || camera.pixel_format().is_ok_and(|f| f != PixelFormat::MONO_8)
-    {
-        let available = camera
-            .dup_available_pixel_formats_as_strings()
-            .map(|names| {
-                names
-                    .iter()
-                    .map(ToString::to_string)
-                    .collect::<Vec<_>>()
-                    .join(", ")
-            })
-            .unwrap_or_default();
-        return Err(LiveError::PixelFormat {
-            camera: options.camera.clone(),
-            available,
-        });
+/// By its number in the convention, as the leaders of frames tell it.
+fn set_pixel_format(options: &LiveOptions, camera: &Camera) -> Result<(), LiveError> {
+    let (name, asked) = ("PixelFormat", options.pixel_format);
+    let number = i64::from(asked.code());
+    if camera.set_integer(name, number).is_ok() && camera.integer(name).is_ok_and(|got| got == number) {
+        return Ok(());
     }
+    let available = camera.dup_available_pixel_formats_as_strings();
+    let available = available
+        .unwrap_or_default()
+        .into_iter()
+        .map(|name| name.to_string());
+    Err(LiveError::PixelFormat {
+        camera: options.camera.clone(),
+        asked,
+        available: available.collect(),
+    })
+}
+
+fn set_image(options: &LiveOptions, camera: &Camera) -> Result<(), LiveError> {
+    set_pixel_format(options, camera)?;
     let (width, height) = options.size_px;
     let (x, y) = options.offset_px;
     let [x, y, w, h] = [x, y, width, height].map(|n| i32::try_from(n).unwrap_or(i32::MAX));
@@ -242,7 +244,7 @@ fn set_transport(options: &LiveOptions, camera: &Camera) -> Result<u32, LiveErro
 
 /// Chunks behind the image take some kilobytes. The pool is made of buffers of this size: an absurd one is not believed.
 fn sane_payload(options: &LiveOptions, payload_bytes: usize) -> Result<usize, LiveError> {
-    let image = options.size_px.0 as usize * options.size_px.1 as usize;
+    let image = options.frame_bytes();
     if (image..=2 * image + (1 << 20)).contains(&payload_bytes) {
         return Ok(payload_bytes);
     }
@@ -251,8 +253,8 @@ fn sane_payload(options: &LiveOptions, payload_bytes: usize) -> Result<usize, Li
         setting: "PayloadSize",
         value: payload_bytes.to_string(),
         reason: format!(
-            "an image of {}x{} Mono8 has {image} bytes",
-            options.size_px.0, options.size_px.1
+            "an image of {}x{} {} has {image} bytes",
+            options.size_px.0, options.size_px.1, options.pixel_format
         ),
     })
 }

@@ -2,7 +2,7 @@
 
 use std::net::Ipv4Addr;
 
-use crate::scene::{CameraId, FeatureValue};
+use crate::scene::{CameraId, FeatureValue, PixelFormat};
 use crate::time::PtpDomain;
 
 /// What tells a camera from all others. At least one must be given; all that are given must hold.
@@ -67,6 +67,8 @@ pub struct LiveOptions {
     pub size_px: (u32, u32),
     /// First column and row on the sensor.
     pub offset_px: (u32, u32),
+    /// How it sends its pixels.
+    pub pixel_format: PixelFormat,
     /// Frames a second.
     pub frame_rate_hz: f64,
     /// Exposure, seconds; `None`: as the camera has it.
@@ -102,6 +104,7 @@ impl LiveOptions {
             which,
             size_px,
             offset_px: (0, 0),
+            pixel_format: PixelFormat::Mono8,
             frame_rate_hz,
             exposure_s: None,
             gain_db: None,
@@ -115,6 +118,12 @@ impl LiveOptions {
             ptp: Ptp::Off,
             features: Vec::new(),
         }
+    }
+
+    /// Bytes of a frame.
+    pub fn frame_bytes(&self) -> usize {
+        let (width_px, height_px) = self.size_px;
+        self.pixel_format.bytes(width_px as usize * height_px as usize)
     }
 
     /// Frames to be kept free.
