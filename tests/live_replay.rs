@@ -98,6 +98,8 @@ fn replay(session: &Path, out: &Path) {
 struct Round {
     /// Whether the cameras' clocks are the network's (PTP), or their own.
     ptp: bool,
+    /// How the cameras send their pixels.
+    formats: [&'static str; 2],
     /// SIGTERM comes so many seconds after the session's begin; `None`: when all pitches are published.
     told_after_s: Option<f64>,
 }
@@ -135,8 +137,8 @@ fn live(lab: &Lab, path: &Path, folder: &Path, round: Round) -> String {
         };
         config += &format!(
             "[[camera]]\nid = \"{id}\"\n{which}\npacket_size = 8000\nbuffers = 256\n\
-             realtime_priority = 20\nptp = {}\n",
-            round.ptp
+             realtime_priority = 20\nptp = {}\npixel_format = \"{}\"\n",
+            round.ptp, round.formats[k]
         );
     }
     std::fs::write(folder.join("pitchd.toml"), config).unwrap();
@@ -158,6 +160,8 @@ fn live(lab: &Lab, path: &Path, folder: &Path, round: Round) -> String {
                 &begin,
                 "--between",
                 "silent",
+                "--pixel-format",
+                round.formats[k],
             ];
             let (out, log) = (folder.join(format!("{id}.out")), folder.join(format!("{id}.log")));
             Reaped(Lab::start((&lab.camera(k), Some(30)), &arguments, &out, &log))
@@ -318,10 +322,16 @@ fn live_is_replay() {
     // Stamps of clocks that follow the network's fit each other exactly. Those of free-running cameras are as good as the
     // host's arrivals: on two busy cores two clocks are some 5 µs off each other, 0.2 mm of flight, where the points of
     // this noise-free recording are good to 0.01 px. Seen: 0.01 to 0.8 sigma.
-    for (ptp, sigmas_max) in [(true, 0.1), (false, 1.0)] {
-        println!("clocks of {}", if ptp { "the network" } else { "their own" });
+    // The recording has eight bits; packed cameras send them as the upper ones of ten and twelve.
+    let packed = ["Mono12p", "Mono10Packed"];
+    for (ptp, sigmas_max, formats) in [(true, 0.1, ["Mono8"; 2]), (false, 1.0, packed)] {
+        println!(
+            "clocks of {}, {formats:?}",
+            if ptp { "the network" } else { "their own" }
+        );
         stage.run(Round {
             ptp,
+            formats,
             told_after_s: None,
         });
         same_points(&stage.tracks("live"), &stage.tracks("replay"));
@@ -338,6 +348,7 @@ fn a_ball_in_flight_at_sigterm_is_followed_to_its_end() {
     let session = SessionReader::open(&stage.session()).unwrap();
     stage.run(Round {
         ptp: true,
+        formats: ["Mono8"; 2],
         told_after_s: Some(in_mid_pitch_s(&session, &replayed)),
     });
     // The last frames that its path could have had are not waited for: it may end a point or two sooner or later.

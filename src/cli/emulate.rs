@@ -12,7 +12,7 @@ use crate::emulation::{
     Drill, Emulator, EmulatorOptions, Faults, Handing, Idle, Script, ScriptShape, pattern, repeated,
     session_script,
 };
-use crate::scene::CameraId;
+use crate::scene::{CameraId, PixelFormat};
 
 /// Serve frames as a real GigE Vision camera on the network.
 #[derive(Debug, clap::Args)]
@@ -23,6 +23,9 @@ Example: a camera that any GigE Vision program can open (127.0.0.x needs no priv
 
 Two cameras of a recording that begin together in five seconds:
   for i in 1 2; do pitchd emulate session --camera cam$i --address 127.0.0.$i --start-at $(($(date +%s)+5)) & done
+
+One that sends twelve bits a pixel:
+  pitchd emulate session --camera first --address 127.0.0.5 --pixel-format Mono12p
 
 Commands on standard input, one a line: freeze S, disconnect S, reboot S, clock S (step the device clock),
 faults KEY=VALUE,…, loss P, reorder_ms MS, jitter_ms MS, quit. Faults: loss, reorder, reorder_ms, jitter_ms,
@@ -44,6 +47,10 @@ pub struct EmulateArgs {
     /// Frames a second of a pattern.
     #[arg(long, default_value_t = 175.0)]
     pub rate: f64,
+    /// Pixel formats that it has, as in `Mono8,Mono12p`; the first is the one at the start. The source's levels are the
+    /// upper eight bits.
+    #[arg(long, value_delimiter = ',', default_value = "Mono8", value_parser = pixel_format)]
+    pub pixel_format: Vec<PixelFormat>,
     /// Faults from the start, as in `loss=0.01,skew_ppm=50,clock_offset_s=1000`.
     #[arg(long, default_value = "")]
     pub faults: String,
@@ -96,6 +103,7 @@ pub fn run(args: &EmulateArgs) -> anyhow::Result<()> {
             Between::Still => Idle::Still,
             Between::Silent => Idle::Silent,
         },
+        pixel_formats: args.pixel_format.clone(),
         handing: if args.plain_packets {
             Handing::OneByOne
         } else {
@@ -106,9 +114,10 @@ pub fn run(args: &EmulateArgs) -> anyhow::Result<()> {
     };
     let emulator = Emulator::start(&options, shape, script)?;
     say_line!(
-        "camera {camera}: {}x{} Mono8, {} Hz, serial {serial}, at {}",
+        "camera {camera}: {}x{} {}, {} Hz, serial {serial}, at {}",
         shape.width_px,
         shape.height_px,
+        names(&args.pixel_format, " or "),
         shape.rate_hz,
         args.address
     );
@@ -178,6 +187,16 @@ fn open(args: &EmulateArgs, camera: &CameraId) -> anyhow::Result<(ScriptShape, S
         exposure_s: 0.001,
     };
     Ok((shape, pattern(shape)))
+}
+
+fn names(formats: &[PixelFormat], between: &str) -> String {
+    let names: Vec<_> = formats.iter().map(|format| format.name()).collect();
+    names.join(between)
+}
+
+fn pixel_format(text: &str) -> Result<PixelFormat, String> {
+    let unknown = || format!("the known ones are {}", names(&PixelFormat::ALL, ", "));
+    PixelFormat::of_name(text).ok_or_else(unknown)
 }
 
 /// The instant of a Unix time; in the past too: a camera that is switched on late shows what is on now.

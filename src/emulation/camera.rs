@@ -17,6 +17,7 @@ use super::gvcp::GVCP_PORT;
 use super::registers::{Identity, RegisterBank, STREAM_SOURCE_PORT, StrangeDescription};
 use super::script::{Idle, Script, ScriptShape, Timeline};
 use super::sender::{Order, Sender};
+use crate::scene::PixelFormat;
 
 /// Why an emulated camera cannot start.
 #[derive(Debug, thiserror::Error)]
@@ -63,6 +64,8 @@ pub struct EmulatorOptions {
     pub begin: Option<Instant>,
     /// What is shown when the script has nothing.
     pub between: Idle,
+    /// Pixel formats that it has; the first is the one at the start.
+    pub pixel_formats: Vec<PixelFormat>,
     /// How packets are handed to the system.
     pub handing: Handing,
     /// Another GenICam description than the camera's own, to try a receiver with.
@@ -82,6 +85,7 @@ impl EmulatorOptions {
             link_gbps: 5.0,
             begin: None,
             between: Idle::Still,
+            pixel_formats: vec![PixelFormat::Mono8],
             handing: Handing::Offloaded,
             genicam: None,
             seed: 1,
@@ -206,6 +210,7 @@ impl Emulator {
             user_name: options.user_name.clone(),
             width_px: shape.width_px,
             height_px: shape.height_px,
+            pixel_formats: options.pixel_formats.clone(),
             rate_hz: (1.0, shape.rate_hz),
             exposure_s: shape.exposure_s,
             genicam: options.genicam.clone(),

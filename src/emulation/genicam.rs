@@ -3,7 +3,6 @@
 use std::fmt::Write;
 
 use super::clock::PtpState;
-use super::gvsp::PIXEL_FORMAT_MONO8;
 use super::registers::{
     ACQUISITION, ACQUISITION_MODE, DEVICE_RESET, EXPOSURE_US, GAIN_DB, HEARTBEAT_MS, HEIGHT, Identity,
     LINK_MBPS, MODEL, OFFSET_X, OFFSET_Y, PACKET_DELAY, PACKET_SIZE, PAYLOAD_BYTES, PIXEL_FORMAT, PTP_ENABLE,
@@ -221,7 +220,9 @@ fn image_features(xml: &mut Xml, identity: &Identity) {
         xml.integer(name, address, "RW", &limits);
     }
     xml.int_register("PixelFormatReg", PIXEL_FORMAT, 4, "RW");
-    xml.choice("PixelFormat", "PixelFormatReg", &[("Mono8", PIXEL_FORMAT_MONO8)]);
+    let formats = identity.pixel_formats.iter();
+    let formats: Vec<_> = formats.map(|format| (format.name(), format.code())).collect();
+    xml.choice("PixelFormat", "PixelFormatReg", &formats);
 }
 
 fn acquisition_features(xml: &mut Xml, identity: &Identity) {
@@ -280,6 +281,7 @@ mod tests {
     use std::net::Ipv4Addr;
 
     use super::*;
+    use crate::scene::PixelFormat;
 
     #[test]
     fn every_name_that_is_used_is_defined_once() {
@@ -289,6 +291,7 @@ mod tests {
             user_name: String::new(),
             width_px: 640,
             height_px: 320,
+            pixel_formats: vec![PixelFormat::Mono8],
             rate_hz: (1.0, 60.0),
             exposure_s: 0.001,
             link_mbps: 1000,

@@ -3,12 +3,12 @@
 //! A packet is `status(16) | block(16) | format(8) packet(24) | data`. Packet 0 is the leader, 1 … n the pixels, n + 1
 //! the trailer. The packet size register counts the IP and UDP headers too, so a packet of 9000 carries 8964 bytes.
 
+use crate::scene::PixelFormat;
+
 /// Bytes before the data of a packet.
 pub const HEADER_BYTES: usize = 8;
 /// IPv4 and UDP headers, which the packet size register includes.
 pub const IP_UDP_BYTES: usize = 28;
-/// Mono8 in the GigE Vision pixel format convention.
-pub const PIXEL_FORMAT_MONO8: u32 = 0x0108_0001;
 
 /// Format byte of a leader.
 pub const LEADER: u8 = 1;
@@ -24,6 +24,8 @@ const PAYLOAD_TYPE_IMAGE: u32 = 1;
 pub struct ImageLeader {
     /// Device clock at the begin of the exposure, ticks.
     pub timestamp_ticks: u64,
+    /// How its pixels are packed.
+    pub pixel_format: PixelFormat,
     /// Columns.
     pub width_px: u32,
     /// Rows.
@@ -74,7 +76,7 @@ pub fn leader(block: u16, image: &ImageLeader, into: &mut Vec<u8>) {
     into.extend_from_slice(&PAYLOAD_TYPE_IMAGE.to_be_bytes());
     into.extend_from_slice(&image.timestamp_ticks.to_be_bytes());
     for word in [
-        PIXEL_FORMAT_MONO8,
+        image.pixel_format.code(),
         image.width_px,
         image.height_px,
         image.offset_x_px,
@@ -145,6 +147,7 @@ mod tests {
         let mut bytes = Vec::new();
         let image = ImageLeader {
             timestamp_ticks: 0x0102_0304_0506_0708,
+            pixel_format: PixelFormat::Mono12p,
             width_px: 2048,
             height_px: 1024,
             offset_x_px: 0,
@@ -153,6 +156,7 @@ mod tests {
         leader(9, &image, &mut bytes);
         assert_eq!(bytes.len(), 44);
         assert_eq!(bytes[12..20], [1, 2, 3, 4, 5, 6, 7, 8]);
+        assert_eq!(bytes[20..24], [0x01, 0x0c, 0x00, 0x47]);
         assert_eq!(bytes[4], 1);
     }
 }

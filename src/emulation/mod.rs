@@ -18,6 +18,7 @@ mod genicam;
 pub mod gvcp;
 pub mod gvsp;
 mod mangle;
+mod packing;
 mod registers;
 mod script;
 mod sender;

@@ -7,7 +7,7 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 
 use super::genicam;
 use super::gvcp::Refusal;
-use super::gvsp::PIXEL_FORMAT_MONO8;
+use crate::scene::PixelFormat;
 
 /// A GenICam description that is not the camera's own, to try a receiver with.
 #[derive(Debug, Clone, PartialEq, Default)]
@@ -43,6 +43,8 @@ pub struct Identity {
     pub width_px: u32,
     /// Rows of the sensor.
     pub height_px: u32,
+    /// Pixel formats that it has; the first is the one at the start.
+    pub pixel_formats: Vec<PixelFormat>,
     /// Least and most frame rate, Hz; the first rate is the most.
     pub rate_hz: (f64, f64),
     /// Exposure at the start, seconds.
@@ -134,6 +136,8 @@ pub struct StreamSettings {
     pub to: SocketAddrV4,
     /// Packet size with IP and UDP headers, bytes.
     pub packet_size: u32,
+    /// How pixels are packed.
+    pub pixel_format: PixelFormat,
     /// Region: columns, rows, first column, first row.
     pub region: [u32; 4],
     /// Frame rate, Hz.
@@ -219,10 +223,11 @@ impl RegisterBank {
 
     fn fill_features(&mut self) {
         let identity = self.identity.clone();
+        let format = identity.pixel_formats.first().copied().unwrap_or_default();
         for (address, value) in [
             (WIDTH, identity.width_px),
             (HEIGHT, identity.height_px),
-            (PIXEL_FORMAT, PIXEL_FORMAT_MONO8),
+            (PIXEL_FORMAT, format.code()),
             (SENSOR_WIDTH, identity.width_px),
             (SENSOR_HEIGHT, identity.height_px),
             (LINK_MBPS, identity.link_mbps),
@@ -332,7 +337,7 @@ impl RegisterBank {
             }
             OFFSET_X if value <= region_most(self.identity.width_px, self.get32(WIDTH)) => Effect::None,
             OFFSET_Y if value <= region_most(self.identity.height_px, self.get32(HEIGHT)) => Effect::None,
-            PIXEL_FORMAT if value == PIXEL_FORMAT_MONO8 => Effect::None,
+            PIXEL_FORMAT if self.identity.pixel_formats.iter().any(|f| f.code() == value) => Effect::None,
             TRIGGER_MODE if value == 0 => Effect::None,
             WIDTH | HEIGHT | OFFSET_X | OFFSET_Y | PIXEL_FORMAT | TRIGGER_MODE => {
                 return Err(Refusal::InvalidParameter);
@@ -379,8 +384,13 @@ impl RegisterBank {
     }
 
     fn update_payload(&mut self) {
-        let bytes = self.get32(WIDTH).saturating_mul(self.get32(HEIGHT));
-        self.set32(PAYLOAD_BYTES, bytes);
+        let pixels = self.get32(WIDTH).saturating_mul(self.get32(HEIGHT));
+        let bytes = self.pixel_format().bytes(pixels as usize);
+        self.set32(PAYLOAD_BYTES, u32::try_from(bytes).unwrap_or(u32::MAX));
+    }
+
+    fn pixel_format(&self) -> PixelFormat {
+        PixelFormat::of_code(self.get32(PIXEL_FORMAT)).unwrap_or_default()
     }
 
     /// Notes who holds the camera; nobody: 0.0.0.0, port 0.
@@ -402,6 +412,7 @@ impl RegisterBank {
                 (self.get32(STREAM_PORT) & 0xffff) as u16,
             ),
             packet_size: self.get32(PACKET_SIZE) & 0xffff,
+            pixel_format: self.pixel_format(),
             region: [WIDTH, HEIGHT, OFFSET_X, OFFSET_Y].map(|a| self.get32(a)),
             rate_hz: self.get_f64(RATE),
             exposure_s: 1e-6 * self.get_f64(EXPOSURE_US),
@@ -422,6 +433,7 @@ mod tests {
             user_name: "first".into(),
             width_px: 2048,
             height_px: 1024,
+            pixel_formats: vec![PixelFormat::Mono8, PixelFormat::Mono12p],
             rate_hz: (1.0, 175.0),
             exposure_s: 0.001,
             link_mbps: 5000,
@@ -438,6 +450,16 @@ mod tests {
         assert_eq!(bank.write32(OFFSET_X, 1024), Ok(Effect::None));
         assert_eq!(bank.write32(WIDTH, 1025), Err(Refusal::InvalidParameter));
         assert_eq!(bank.get32(PAYLOAD_BYTES), 1024 * 1024);
+        let format = |format: PixelFormat| format.code();
+        assert_eq!(
+            bank.write32(PIXEL_FORMAT, format(PixelFormat::Mono10p)),
+            Err(Refusal::InvalidParameter)
+        );
+        assert_eq!(
+            bank.write32(PIXEL_FORMAT, format(PixelFormat::Mono12p)),
+            Ok(Effect::None)
+        );
+        assert_eq!(bank.get32(PAYLOAD_BYTES), 1024 * 1024 * 3 / 2);
         assert_eq!(bank.write32(PAYLOAD_BYTES, 1), Err(Refusal::WriteProtect));
         assert_eq!(bank.write32(0xffff_fff0, 1), Err(Refusal::InvalidAddress));
         assert_eq!(bank.read(2, 4), Err(Refusal::BadAlignment));

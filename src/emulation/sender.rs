@@ -14,8 +14,10 @@ use rand_pcg::Pcg64;
 
 use super::camera::{Handing, Shared, lock};
 use super::gvsp::{self, ImageLeader, PacketPlan};
+use super::packing::pack;
 use super::registers::StreamSettings;
 use super::script::{Pixels, Slot, Timeline};
+use crate::scene::PixelFormat;
 
 /// What the sender is told.
 pub(super) enum Order {
@@ -146,6 +148,14 @@ impl Sender {
             current.phase -= 1.0;
             let settings = current.settings;
             let departs = slot.begin + Duration::from_secs_f64(settings.exposure_s + self.jitter_s());
+            let image = self.cut(slot.pixels, settings.region);
+            let slot = Slot {
+                begin: slot.begin,
+                pixels: match settings.pixel_format {
+                    PixelFormat::Mono8 => image,
+                    packed => Arc::new(pack(packed, &image)),
+                },
+            };
             if !self.wait(orders, departs, &mut stream) {
                 return;
             }
@@ -214,7 +224,7 @@ impl Sender {
         }
     }
 
-    /// One exposure: the image becomes a block and goes out.
+    /// One exposure: the image, as the stream has it, becomes a block and goes out.
     fn expose(&mut self, settings: &StreamSettings, slot: Slot, departs: Instant) {
         let now = Instant::now();
         if now < self.frozen_until {
@@ -226,18 +236,18 @@ impl Sender {
             return;
         }
         let [width_px, height_px, offset_x_px, offset_y_px] = settings.region;
-        let image = self.cut(slot.pixels, settings.region);
         let kept = Kept {
             block: self.block,
-            plan: PacketPlan::new(settings.packet_size, image.len()),
+            plan: PacketPlan::new(settings.packet_size, slot.pixels.len()),
             leader: ImageLeader {
                 timestamp_ticks: lock(&self.shared.clock).ticks(slot.begin),
+                pixel_format: settings.pixel_format,
                 width_px,
                 height_px,
                 offset_x_px,
                 offset_y_px,
             },
-            image,
+            image: slot.pixels,
         };
         self.send_frame(settings, &kept);
         self.shared.counting.frames.fetch_add(1, Ordering::Relaxed);

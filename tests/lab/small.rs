@@ -1,5 +1,7 @@
 //! A small camera in software on a loopback address, and how the daemon opens it: 640×320 at 60 Hz.
 
+#![allow(dead_code, reason = "every test uses its own part of it")]
+
 use std::net::Ipv4Addr;
 use std::time::{Duration, Instant};
 
