@@ -11,7 +11,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use pitchd::detection::{Answers, Detector, DetectorConfig, Isa, Kernels};
-use pitchd::scene::{Detection, Frame, FrameStamp};
+use pitchd::emulation::pack;
+use pitchd::scene::{Detection, Frame, FrameStamp, PixelFormat, RawFrame};
 use pitchd::time::StampedMidpoint;
 use pitchd::vision::DifferenceBaseline;
 use rand::{Rng, SeedableRng};
@@ -112,6 +113,31 @@ fn search<'a>(name: String, mut detector: Detector, ring: &'a [Arc<Vec<u8>>]) ->
     }
 }
 
+/// The same of frames as a camera packs them.
+fn search_packed<'a>(format: PixelFormat, ring: &[Arc<Vec<u8>>]) -> Contender<'a> {
+    let packed: Vec<RawFrame> = ring
+        .iter()
+        .map(|levels| RawFrame {
+            format,
+            pixels: Arc::new(pack(format, levels)),
+            ..RawFrame::from(frame(0, levels))
+        })
+        .collect();
+    let mut detector = detector(1, Isa::detect());
+    Contender {
+        name: format!("detector, 0 movers, lag 1, {format}"),
+        run: Box::new(move |i| {
+            let mut found = Count(0);
+            let mut raw = packed[i % RING].clone();
+            raw.stamp.frame = i as u64;
+            raw.stamp.stamped = StampedMidpoint::from_nanos(i as i64 * 5_714_286);
+            detector.detect_raw(&raw, &mut found).unwrap();
+            black_box(found.0);
+        }),
+        times_ms: Vec::new(),
+    }
+}
+
 /// OpenCV on a ring: contours, or components.
 fn opponent<'a>(name: String, components: bool, ring: &'a [Arc<Vec<u8>>]) -> Contender<'a> {
     let mut baseline = DifferenceBaseline::new();
@@ -172,6 +198,12 @@ fn main() {
             contenders.push(search(name, detector(lag, Isa::detect()), ring));
         }
     }
+    let formats = [
+        PixelFormat::Mono10p,
+        PixelFormat::Mono12p,
+        PixelFormat::Mono12Packed,
+    ];
+    contenders.extend(formats.map(|format| search_packed(format, quiet)));
     contenders.extend([2, 4, 8].map(|count| cameras(count, quiet)));
     for (movers, ring) in crowds.iter().filter(|(movers, _)| matches!(movers, 0 | 8)) {
         let name = format!("OpenCV absdiff+threshold+findContours, {movers} movers");

@@ -268,7 +268,19 @@ fn other_image_formats_and_colour() {
     .unwrap();
     write("0.png", &deep);
     fs::remove_dir_all(place.path("out")).unwrap();
-    place.fails("camera first: first/0.png: has 16 bits per value; 8-bit images are read");
+    place.fails(
+        "camera first: first/0.png: has 16 bits per value, and does not say how many of them the camera filled; give --bits \
+         (10, 12, 14 or 16)",
+    );
+    // 4000 of twelve bits is 250 of eight.
+    assert_done(&place.import_with(&["--camera", "first=first", "--bits", "12"]));
+    assert_eq!(frames(&place.session(), "first")[0].2, vec![250; WIDTH * HEIGHT]);
+    fs::remove_dir_all(place.path("out")).unwrap();
+    let output = place.import_with(&["--camera", "first=first", "--bits", "10"]);
+    assert_fails(
+        &output,
+        "camera first: first/0.png: has values of 12 bits, more than the 10 that it should have; correct --bits",
+    );
 }
 
 #[test]
@@ -417,7 +429,7 @@ fn an_image_that_cannot_be_read_is_named() {
         (b"P5 64", "is cut short in its header (width)"),
         (
             b"P5 64 48 65535 ",
-            "has a maximum of 65535; 8-bit images with a maximum of 255 are read",
+            "is cut short: 0 bytes of pixels, 64x48 need 6144",
         ),
         (
             &whole[..1000],

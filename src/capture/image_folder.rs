@@ -19,13 +19,15 @@ use crate::vision::image_files;
 pub struct ImageFolder {
     camera: CameraId,
     geometry: FrameGeometry,
+    level_bits: Option<u32>,
     frames: std::vec::IntoIter<(FrameStamp, PathBuf)>,
     count: u64,
     warnings: Vec<String>,
 }
 
 impl ImageFolder {
-    /// Lists the folder and checks numbers and stamps of all frames and the size of the first.
+    /// Lists the folder and checks numbers and stamps of all frames and the size of the first. `level_bits`: of images of
+    /// 16 bits, how many count ([`image_files::read_mono8`]).
     ///
     /// # Errors
     /// Every variant of [`CaptureError`] but [`CaptureError::NoSuchCamera`]; the message names the file.
@@ -34,6 +36,7 @@ impl ImageFolder {
         folder: &Path,
         geometry: FrameGeometry,
         stamping: Stamping,
+        level_bits: Option<u32>,
     ) -> Result<Self, CaptureError> {
         let files = list_images(camera, folder)?;
         let stamps = FrameStamps::find(camera, &[folder.join(LIST_NAME)], stamping)?;
@@ -65,6 +68,7 @@ impl ImageFolder {
         let source = Self {
             camera: camera.clone(),
             geometry,
+            level_bits,
             count: frames.len() as u64,
             frames: frames.into_iter(),
             warnings,
@@ -81,7 +85,7 @@ impl ImageFolder {
     }
 
     fn read(&self, stamp: FrameStamp, file: &Path) -> Result<Frame, CaptureError> {
-        let image = image_files::read_mono8(file).map_err(|source| CaptureError::Image {
+        let image = image_files::read_mono8(file, self.level_bits).map_err(|source| CaptureError::Image {
             camera: self.camera.clone(),
             source,
         })?;

@@ -13,7 +13,8 @@ use crate::recording::{SessionOptions, SessionWriter, remove_session};
 use crate::scene::{CameraId, CameraSetup, Rig};
 
 const AFTER_HELP: &str = "\
-A camera's PATH is a folder of images (PGM, PNG, TIFF, JPEG; 8 bit, colour becomes grey) or a video file.
+A camera's PATH is a folder of images (PGM, PNG, TIFF, JPEG; colour becomes grey, of more than 8 bits the upper 8 are
+kept) or a video file.
 Times: PATH/timestamps.csv with the columns frame,timestamp_ns (middle of the exposure by the camera's stamps;
 for a video NAME.timestamps.csv or timestamps.csv beside it), or --fps. The number in an image's name is its \
 frame number; when the names hold none, images by name go with the rows by frame number.
@@ -36,7 +37,10 @@ pub struct ImportArgs {
     /// Frame rate in Hz for cameras without timestamps.csv: a frame's time is its number over the rate.
     #[arg(long, value_name = "HZ", value_parser = rate)]
     fps: Option<f64>,
-    /// How pixels are stored; both keep every bit.
+    /// Bits of a camera's levels in images of 16 bits (PNG, TIFF, PGM) [default: a PGM's own maximum, below 65535].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(9..=16))]
+    bits: Option<u32>,
+    /// How pixels are stored; both keep all 8 bits.
     #[arg(long, value_enum, default_value_t = Compress::Raw)]
     compress: Compress,
     /// Replace the session that is in OUT.
@@ -142,7 +146,7 @@ fn open_sources(args: &ImportArgs, rig: &Rig) -> anyhow::Result<Vec<Box<dyn Fram
             height_px: setup.height_px,
         };
         if path.is_dir() {
-            let source = ImageFolder::open(id, path, geometry, stamping)?;
+            let source = ImageFolder::open(id, path, geometry, stamping, args.bits)?;
             for warning in source.warnings() {
                 tell_line!("pitchd: warning: {warning}");
             }

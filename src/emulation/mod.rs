@@ -27,6 +27,7 @@ mod session;
 pub use camera::{Counters, Emulator, EmulatorError, EmulatorOptions, Handing};
 pub use faults::{Drill, FaultError, Faults};
 pub use mangle::Mangling;
+pub use packing::pack;
 pub use registers::{Identity, StrangeDescription};
 pub use script::{Idle, Pixels, Script, ScriptShape, ScriptedFrame, pattern, repeated};
 pub use session::{ScriptError, session_script};

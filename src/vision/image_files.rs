@@ -3,7 +3,7 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use opencv::core::{CV_8U, Mat, MatTraitConst, MatTraitConstManual};
+use opencv::core::{CV_8U, CV_16U, Mat, MatTraitConst, MatTraitConstManual};
 use opencv::core::{LogLevel, set_log_level};
 use opencv::videoio::{
     CAP_ANY, CAP_FFMPEG, CAP_PROP_FRAME_COUNT, CAP_PROP_FRAME_HEIGHT, CAP_PROP_FRAME_WIDTH,
@@ -41,13 +41,16 @@ pub fn is_image_name(file: &Path) -> bool {
     ending.is_some_and(|ending| IMAGE_ENDINGS.contains(&ending.as_str()))
 }
 
-/// Reads an image. Colour becomes luma (BT.601, as OpenCV), transparency is dropped. An image of 16 bits is
-/// refused: how many of them the camera filled is not in the file, and a wrong guess would darken or clip
-/// without a word.
+/// Reads an image. Colour becomes luma (BT.601, as OpenCV), transparency is dropped.
+///
+/// Of a value of two bytes the upper eight of its `level_bits` are taken. `None`: as many as a PGM's maximum needs; where
+/// that is 65535, as most programs write it, and in PNG and TIFF, nothing says how many the camera filled, and a wrong guess
+/// would darken or clip without a word.
 ///
 /// # Errors
-/// The file cannot be read or decoded, or has other than 8 bits.
-pub fn read_mono8(file: &Path) -> Result<Mono8, ImageError> {
+/// The file cannot be read or decoded, has more than 16 bits a value, it is not known how many of them count, or a value
+/// has more than those.
+pub fn read_mono8(file: &Path, level_bits: Option<u32>) -> Result<Mono8, ImageError> {
     let wrong = |reason: String| ImageError {
         file: file.to_owned(),
         reason,
@@ -62,7 +65,7 @@ pub fn read_mono8(file: &Path) -> Result<Mono8, ImageError> {
             let length = opened.metadata().map_or(0, |m| m.len());
             let mut bytes = Vec::with_capacity(usize::try_from(length).unwrap_or(0));
             opened.read_to_end(&mut bytes).map_err(|e| wrong(e.to_string()))?;
-            parse_pgm(bytes).map_err(wrong)
+            parse_pgm(bytes, level_bits).map_err(wrong)
         }
         _ => {
             drop(opened);
@@ -74,13 +77,13 @@ pub fn read_mono8(file: &Path) -> Result<Mono8, ImageError> {
             if image.empty() {
                 return Err(wrong("is not a readable image".to_owned()));
             }
-            grey(&image).map_err(wrong)
+            grey(&image, level_bits).map_err(wrong)
         }
     }
 }
 
 /// A binary PGM after its `P5`.
-fn parse_pgm(mut bytes: Vec<u8>) -> Result<Mono8, String> {
+fn parse_pgm(mut bytes: Vec<u8>, level_bits: Option<u32>) -> Result<Mono8, String> {
     let mut place = 0;
     let mut field = |name: &str| {
         let mut number: Option<u32> = None;
@@ -109,14 +112,14 @@ fn parse_pgm(mut bytes: Vec<u8>) -> Result<Mono8, String> {
         }
     };
     let (width_px, height_px, white) = (field("width")?, field("height")?, field("maximum")?);
-    if white != 255 {
-        return Err(format!(
-            "has a maximum of {white}; 8-bit images with a maximum of 255 are read"
-        ));
-    }
+    let value_bytes = match white {
+        255 => 1,
+        256..=65535 => 2,
+        _ => return Err(format!("has a maximum of {white}; 255 to 65535 are read")),
+    };
     // One whitespace byte after the maximum, then the rows.
     let begin = place + 1;
-    let size = u64::from(width_px) * u64::from(height_px);
+    let size = value_bytes * u64::from(width_px) * u64::from(height_px);
     let have = bytes.len().saturating_sub(begin) as u64;
     if have < size || size == 0 {
         return Err(format!(
@@ -125,6 +128,12 @@ fn parse_pgm(mut bytes: Vec<u8>) -> Result<Mono8, String> {
     }
     bytes.drain(..begin);
     bytes.truncate(usize::try_from(size).map_err(|_| "is too large".to_owned())?);
+    if value_bytes == 2 {
+        let by_maximum = (white < 65535).then(|| white.ilog2() + 1);
+        let bits = level_bits.or(by_maximum).ok_or_else(unknown_bits)?;
+        let (values, _) = bytes.as_chunks::<2>();
+        bytes = upper_eight(values.iter().map(|value| u16::from_be_bytes(*value)), bits)?;
+    }
     Ok(Mono8 {
         width_px,
         height_px,
@@ -132,11 +141,36 @@ fn parse_pgm(mut bytes: Vec<u8>) -> Result<Mono8, String> {
     })
 }
 
-fn grey(image: &Mat) -> Result<Mono8, String> {
+fn unknown_bits() -> String {
+    "has 16 bits per value, and does not say how many of them the camera filled; give --bits (10, 12, 14 or 16)".to_owned()
+}
+
+/// The upper eight bits of levels of 8 to 16.
+fn upper_eight(values: impl Iterator<Item = u16>, level_bits: u32) -> Result<Vec<u8>, String> {
+    let shift = level_bits.saturating_sub(8).min(8);
+    let mut all = 0;
+    let levels = values.map(|value| {
+        all |= value;
+        (value >> shift) as u8
+    });
+    let levels = levels.collect();
+    let needed = u16::BITS - all.leading_zeros();
+    if needed > level_bits {
+        return Err(format!(
+            "has values of {needed} bits, more than the {level_bits} that it should have; correct --bits"
+        ));
+    }
+    Ok(levels)
+}
+
+fn grey(image: &Mat, level_bits: Option<u32>) -> Result<Mono8, String> {
     let text = |e: opencv::Error| e.message;
-    if image.depth() != CV_8U {
+    let depth = image.depth();
+    if depth != CV_8U && depth != CV_16U {
         let bits = 8 * image.elem_size1();
-        return Err(format!("has {bits} bits per value; 8-bit images are read"));
+        return Err(format!(
+            "has {bits} bits per value with a sign or a point; plain 8 and 16 bits are read"
+        ));
     }
     let code = match image.channels() {
         1 => None,
@@ -144,19 +178,23 @@ fn grey(image: &Mat) -> Result<Mono8, String> {
         4 => Some(imgproc::COLOR_BGRA2GRAY),
         other => return Err(format!("has {other} channels")),
     };
-    let pixels = match code {
-        None if image.is_continuous() => image.data_bytes().map_err(text)?.to_vec(),
-        None => image
-            .try_clone()
-            .map_err(text)?
-            .data_bytes()
-            .map_err(text)?
-            .to_vec(),
-        Some(code) => {
-            let mut luma = Mat::default();
-            imgproc::cvt_color_def(image, &mut luma, code).map_err(text)?;
-            luma.data_bytes().map_err(text)?.to_vec()
+    let mut luma = Mat::default();
+    let image = match code {
+        None if image.is_continuous() => image,
+        None => {
+            luma = image.try_clone().map_err(text)?;
+            &luma
         }
+        Some(code) => {
+            imgproc::cvt_color_def(image, &mut luma, code).map_err(text)?;
+            &luma
+        }
+    };
+    let pixels = if depth == CV_8U {
+        image.data_bytes().map_err(text)?.to_vec()
+    } else {
+        let values = image.data_typed::<u16>().map_err(text)?;
+        upper_eight(values.iter().copied(), level_bits.ok_or_else(unknown_bits)?)?
     };
     let side = |n: i32| u32::try_from(n).map_err(|_| "has no size".to_owned());
     Ok(Mono8 {
@@ -231,8 +269,77 @@ impl VideoReader {
         if !self.capture.read(&mut self.frame).map_err(|e| wrong(e.message))? {
             return Ok(None);
         }
-        let image = grey(&self.frame).map_err(wrong)?;
+        let image = grey(&self.frame, None).map_err(wrong)?;
         self.frames_read += 1;
         Ok(Some(image))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use opencv::core::{Scalar, Vector};
+
+    use super::*;
+
+    /// 4×1 values in two bytes, high one first.
+    fn pgm(maximum: u32, values: [u16; 4]) -> Vec<u8> {
+        let mut bytes = format!("P5 4 1 {maximum}\n").into_bytes();
+        bytes.extend(values.iter().flat_map(|v| v.to_be_bytes()));
+        bytes.drain(..2);
+        bytes
+    }
+
+    #[test]
+    fn a_pgm_of_more_bits_has_its_upper_eight() {
+        let read = |maximum, values, bits| parse_pgm(pgm(maximum, values), bits).map(|image| image.pixels);
+        // 0xab and 0x12 with the low bits of ten, of twelve and of sixteen.
+        let ten = [0x2af, 0x048, 0, 1023];
+        let twelve = [0xabc, 0x123, 0, 4095];
+        let expected = vec![0xab, 0x12, 0, 255];
+        assert_eq!(read(1023, ten, None), Ok(expected.clone()));
+        assert_eq!(read(4095, twelve, None), Ok(expected.clone()));
+        // Most programs write 65535 whatever the camera filled.
+        assert!(read(65535, twelve, None).unwrap_err().contains("give --bits"));
+        assert_eq!(read(65535, twelve, Some(12)), Ok(expected.clone()));
+        assert_eq!(read(65535, twelve.map(|v| v << 4), Some(16)), Ok(expected));
+        let error = read(65535, twelve, Some(10)).unwrap_err();
+        assert!(
+            error.contains("has values of 12 bits, more than the 10"),
+            "{error}"
+        );
+        assert_eq!(
+            read(127, twelve, None),
+            Err("has a maximum of 127; 255 to 65535 are read".to_owned())
+        );
+        let cut = pgm(4095, twelve)[..12].to_vec();
+        assert!(parse_pgm(cut, None).unwrap_err().contains("4x1 need 8"));
+    }
+
+    #[test]
+    fn png_and_tiff_of_more_bits_have_their_upper_eight() {
+        let folder = tempfile::tempdir().unwrap();
+        let image = |kind, level| Mat::new_rows_cols_with_default(3, 5, kind, Scalar::all(level)).unwrap();
+        for name in ["a.png", "a.tif"] {
+            let file = folder.path().join(name);
+            let write = |image: &Mat| {
+                assert!(imgcodecs::imwrite(file.to_str().unwrap(), image, &Vector::new()).unwrap());
+            };
+            for kind in [opencv::core::CV_16UC1, opencv::core::CV_16UC3] {
+                write(&image(kind, f64::from(0xabc)));
+                let read = |bits| read_mono8(&file, bits);
+                assert_eq!(read(Some(12)).unwrap().pixels, [0xab; 15], "{name}");
+                assert_eq!(read(Some(16)).unwrap().pixels, [0x0a; 15], "{name}");
+                assert!(read(None).unwrap_err().reason.contains("give --bits"));
+                assert!(
+                    read(Some(11))
+                        .unwrap_err()
+                        .reason
+                        .contains("has values of 12 bits")
+                );
+            }
+            // The bits of values in one byte are known.
+            write(&image(opencv::core::CV_8UC1, 200.0));
+            assert_eq!(read_mono8(&file, Some(12)).unwrap().pixels, [200; 15]);
+        }
     }
 }
