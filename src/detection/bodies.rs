@@ -3,7 +3,6 @@
 //! Pixel by pixel a few players cost more than the whole scan. So where there are many, nothing is gathered within them:
 //! they are searched for spots in front of them ([`super::movers`]). What is small, or all there is, is gathered.
 
-use super::fronts::{TILES_MAX, TileRun};
 use super::kernel::TILE_HEIGHT_PX;
 use super::tiles::TileMap;
 
@@ -110,23 +109,14 @@ impl Bodies {
         }
     }
 
-    /// The tiles of a body, from top to bottom, those side by side together.
-    pub fn runs(&self, body: &Body) -> impl Iterator<Item = TileRun> + '_ {
+    /// The tiles of a body from top to bottom: band and column.
+    pub fn tiles(&self, body: &Body) -> impl Iterator<Item = (usize, usize)> + '_ {
         let (first, last) = body.columns;
         (body.bands.0..=body.bands.1).flat_map(move |band| {
-            let mut columns = self
-                .tiles
-                .columns(band)
+            let columns = self.tiles.columns(band);
+            columns
                 .filter(move |column| (first..=last).contains(column))
-                .peekable();
-            std::iter::from_fn(move || {
-                let column = columns.next()?;
-                let mut tiles = 1;
-                while tiles < TILES_MAX && columns.next_if_eq(&(column + tiles)).is_some() {
-                    tiles += 1;
-                }
-                Some(TileRun { band, column, tiles })
-            })
+                .map(move |column| (band, column))
         })
     }
 }
@@ -153,16 +143,8 @@ mod tests {
         assert_eq!(bodies.large.len(), 2);
         assert_eq!(map, tiles(ball.into_iter()));
         let body = bodies.large.iter().find(|body| body.columns.0 == 4).unwrap();
-        let runs: Vec<TileRun> = bodies.runs(body).collect();
-        assert_eq!(runs.len(), 24);
-        assert_eq!(
-            runs[3],
-            TileRun {
-                band: 13,
-                column: 4,
-                tiles: 3
-            }
-        );
+        let found: Vec<(usize, usize)> = bodies.tiles(body).collect();
+        assert_eq!(found, player(4).collect::<Vec<_>>());
     }
 
     #[test]

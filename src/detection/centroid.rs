@@ -6,7 +6,7 @@
 use nalgebra::{Matrix2, Vector2};
 
 use super::blobs::Images;
-use super::kernel::{WEIGHT_STEPS, WINDOW_MAX_PX};
+use super::kernel::{WEIGHT_STEPS, WINDOW_MAX_PX, WindowSums};
 
 /// Centroid may be off the geometric centre by this share of the radius (measured 0.25–0.75 px at 3 px).
 const LIGHT_OFFSET_OF_RADIUS: f64 = 0.15;
@@ -34,8 +34,8 @@ pub struct Moments {
 /// Most steps of a window towards the change it contains.
 const SHIFTS_MAX: usize = 2;
 
-/// Weighted sums of |change| over some pixels.
-#[derive(Default)]
+/// Weighted sums of |change| over some pixels. A ball lit from one side may be brighter than the background on that side and
+/// darker on the other: both count.
 pub struct Sums {
     sum: f64,
     first: Vector2<f64>,
@@ -44,21 +44,17 @@ pub struct Sums {
 }
 
 impl Sums {
-    /// Takes a pixel at an offset from the origin. A ball lit from one side may be brighter than the background
-    /// on that side and darker on the other: both count.
-    pub fn add(&mut self, offset: Vector2<f64>, change: i32, floor: f64) {
-        let weight = f64::from(change.abs()) - floor;
-        if weight > 0.0 {
-            self.sum += weight;
-            self.first += weight * offset;
-            self.second += weight * offset * offset.transpose();
-            self.count += 1.0;
+    /// Of what was read with so many steps of weight per level.
+    pub fn of(read: &WindowSums, steps: u32) -> Self {
+        let real = |sum: u64| sum as f64 / f64::from(steps);
+        let [x, y] = read.first.map(real);
+        let [xx, xy, yy] = read.second.map(real);
+        Self {
+            sum: real(read.sum),
+            first: Vector2::new(x, y),
+            second: Matrix2::new(xx, xy, xy, yy),
+            count: read.count as f64,
         }
-    }
-
-    /// Sum of the weights, levels.
-    pub fn total(&self) -> f64 {
-        self.sum
     }
 
     /// Moments with offsets from `origin`; `None` where nothing changed.
@@ -105,20 +101,10 @@ fn read_window(
     rows: &[(usize, usize)],
     floor: f64,
 ) -> Sums {
-    let steps = f64::from(WEIGHT_STEPS);
+    let floor = (f64::from(WEIGHT_STEPS) * floor).round() as u32;
     let place = (top * images.width_px + left, images.width_px);
-    let read = images
-        .kernels
-        .window_sums(images.levels(), place, rows, (steps * floor).round() as u32);
-    let real = |sum: u64| sum as f64 / steps;
-    let [x, y] = read.first.map(real);
-    let [xx, xy, yy] = read.second.map(real);
-    Sums {
-        sum: real(read.sum),
-        first: Vector2::new(x, y),
-        second: Matrix2::new(xx, xy, xy, yy),
-        count: read.count as f64,
-    }
+    let read = images.kernels.window_sums(images.levels(), place, rows, floor);
+    Sums::of(&read, WEIGHT_STEPS)
 }
 
 /// Moments within a round window that moves to the change it contains.

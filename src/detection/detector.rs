@@ -98,6 +98,8 @@ pub struct Detector {
     lag: usize,
     next_lag: usize,
     next_answer: usize,
+    /// All zero between two bands.
+    column_changes: Vec<u8>,
     tile_hits: Vec<bool>,
     tiles: TileMap,
     blobs: BlobFinder,
@@ -130,11 +132,12 @@ impl Detector {
             lag: config.lag_frames.max(1),
             next_lag: config.lag_frames.max(1),
             next_answer: 0,
+            column_changes: vec![0; width],
             tile_hits: vec![false; width.div_ceil(TILE_WIDTH_PX)],
             tiles: TileMap::new(width, height),
             blobs: BlobFinder::new(width, Kernels::new(isa)),
             bodies: Bodies::new(width, height),
-            movers: MoverSearch::new(width, Kernels::new(isa)),
+            movers: MoverSearch::new(Kernels::new(isa)),
             found: Vec::with_capacity(1024),
             expected: Vec::with_capacity(64),
             patches: PatchPool::new(config.patch_bytes),
@@ -266,10 +269,11 @@ impl Detector {
         changed: &mut TileMap,
     ) {
         let thresholds = self.noise.band_thresholds(band);
-        let any = self
+        let (most, hits) = (&mut self.column_changes, &mut self.tile_hits);
+        if self
             .kernels
-            .changed_tiles(current, before, self.width_px, thresholds, &mut self.tile_hits);
-        if any {
+            .changed_tiles((current, before), self.width_px, thresholds, most, hits)
+        {
             let tiles = self.tile_hits.iter().enumerate();
             for (column, _) in tiles.filter(|(_, hit)| **hit) {
                 changed.set(band, column);
@@ -377,7 +381,7 @@ impl Detector {
             let (band, column) = body.middle();
             let sigma = self.noise.difference_sigma(band, column);
             let limits = spot_limits(&self.config, self.lag, sigma);
-            let tiles = self.bodies.runs(body);
+            let tiles = self.bodies.tiles(body);
             for (moments, spot) in self.movers.find_in_front(near, tiles, limits, sigma) {
                 let found = candidate(&self.config, stamp, &moments);
                 self.found.extend(found.map(|found| (found, spot, Behind::Near)));

@@ -1,7 +1,7 @@
 //! Chooses the instruction set of the pixel loops at run time; the only file of the room with `unsafe`.
 #![allow(unsafe_code)]
 
-use super::fronts::{self, TILES_MAX, TileRun};
+use super::fronts::{self, Piece};
 use super::kernel::{self, WindowSums};
 use super::lanes::{Look, PixelLanes, Sums};
 use super::packing;
@@ -135,7 +135,7 @@ impl Kernels {
 dispatched!(
     kernel:
     /// See [`kernel::changed_tiles`].
-    changed_tiles(current: &[u8], previous: &[u8], width: usize, thresholds: &[u8], hits: &mut [bool]) -> bool
+    changed_tiles(images: (&[u8], &[u8]), width: usize, thresholds: &[u8], most: &mut [u8], hits: &mut [bool]) -> bool
 );
 dispatched!(
     kernel:
@@ -151,16 +151,6 @@ dispatched!(
     kernel:
     /// See [`kernel::change_mask`].
     change_mask(current: &[u8], before: &[u8], after: &[u8], threshold: u8) -> u64
-);
-dispatched!(
-    kernel:
-    /// See [`kernel::range_of_rows`].
-    range_of_rows(images: (&[u8], &[u8]), place: (usize, usize, usize), bright: &mut [u8], dark: &mut [u8]) -> bool
-);
-dispatched!(
-    kernel:
-    /// See [`kernel::beyond`].
-    beyond(current: &[u8], bright: &mut [u8], dark: &mut [u8], reach: usize, change: &mut [u8]) -> u8
 );
 dispatched!(
     kernel:
@@ -200,5 +190,12 @@ dispatched!(
 dispatched!(
     fronts:
     /// See [`fronts::rows_in_front`].
-    rows_in_front(images: (&[u8], &[u8], &[u8]), size: (usize, usize), run: TileRun, limits: (usize, u8)) -> [u8; TILES_MAX]
+    rows_in_front(images: (&[u8], &[u8], &[u8]), size: (usize, usize), tile: (usize, usize), limits: (usize, u8)) -> u8
+);
+dispatched!(
+    fronts:
+    /// See [`fronts::row_in_front`].
+    row_in_front(
+        images: (&[u8], &[u8], &[u8]), size: (usize, usize), place: (usize, usize), limits: (usize, u8), changes: &mut Piece
+    ) -> bool
 );

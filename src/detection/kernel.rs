@@ -18,60 +18,58 @@ const SEGMENTS_MAX: usize = 64;
 const LANES: usize = 64;
 
 /// Tiles of one band (up to [`TILE_HEIGHT_PX`] rows) in which any |current − previous| is above the tile's threshold:
-/// their `hits` become `true`, all others `false`. Gives whether there is any.
+/// their `hits` become `true`, all others `false`. Gives whether there is any. `most` has a place for every column, all
+/// zero before and after.
 ///
 /// Rows are read straight through, 256 pixels at a time: one comparison with the lowest threshold of the tiles
-/// they touch decides for all; only where it fails is a tile looked at, and only until it is hit. (A running
-/// maximum per column, or rows side by side, measured 10–120 % slower than this, which reads at the speed of memory.)
+/// they touch decides for all. From the first row on where it fails the largest changes of these columns are kept, and
+/// decide tile by tile at the band's end. (A running maximum for all columns, or rows side by side, measured
+/// 10–120 % slower than this, which reads at the speed of memory.)
 #[inline(always)]
 pub fn changed_tiles(
-    current: &[u8],
-    previous: &[u8],
+    (current, previous): (&[u8], &[u8]),
     width: usize,
     thresholds: &[u8],
+    most: &mut [u8],
     hits: &mut [bool],
 ) -> bool {
     const TILES: usize = SEGMENT_PX / TILE_WIDTH_PX;
     hits.fill(false);
     let width = width.max(1);
-    // Beyond this many segments a row's last ones are always looked at.
-    let mut lowest = [0u8; SEGMENTS_MAX];
-    for (low, limits) in lowest.iter_mut().zip(thresholds.chunks(TILES)) {
-        *low = limits.iter().fold(u8::MAX, |low, t| low.min(*t));
+    // Beyond this many segments a row's last ones are one.
+    let mut lowest = [u8::MAX; SEGMENTS_MAX];
+    for (index, limits) in thresholds.chunks(TILES).enumerate() {
+        let low = &mut lowest[index.min(SEGMENTS_MAX - 1)];
+        *low = limits.iter().fold(*low, |low, t| low.min(*t));
     }
-    let mut any = false;
+    let mut touched = [false; SEGMENTS_MAX];
     for (c_row, p_row) in current.chunks(width).zip(previous.chunks(width)) {
         let segments = c_row.chunks(SEGMENT_PX).zip(p_row.chunks(SEGMENT_PX));
-        let limits = lowest.iter().copied().chain(std::iter::repeat(0));
-        let tiles = thresholds.chunks(TILES).zip(hits.chunks_mut(TILES));
-        for ((c, p), (lowest, (thresholds, hits))) in segments.zip(limits.zip(tiles)) {
-            if !changes_more(c, p, lowest) {
+        for (index, ((c, p), most)) in segments.zip(most.chunks_mut(SEGMENT_PX)).enumerate() {
+            let index = index.min(SEGMENTS_MAX - 1);
+            if !touched[index] && !changes_more(c, p, lowest[index]) {
                 continue;
             }
-            any = true;
-            let pieces = c.chunks(TILE_WIDTH_PX).zip(p.chunks(TILE_WIDTH_PX));
-            for ((c, p), (threshold, hit)) in pieces.zip(thresholds.iter().zip(hits)) {
-                *hit = *hit || tile_changes_more(c, p, *threshold);
+            touched[index] = true;
+            for ((most, c), p) in most.iter_mut().zip(c).zip(p) {
+                *most = (*most).max(c.abs_diff(*p));
             }
         }
     }
-    any
-}
-
-/// Whether |current − previous| exceeds a limit anywhere in a row of a tile.
-#[inline(always)]
-fn tile_changes_more(current: &[u8], previous: &[u8], limit: u8) -> bool {
-    if let (Ok(c), Ok(p)) = (
-        <&[u8; TILE_WIDTH_PX]>::try_from(current),
-        <&[u8; TILE_WIDTH_PX]>::try_from(previous),
-    ) {
-        let mut over = [0u8; TILE_WIDTH_PX];
-        for ((over, c), p) in over.iter_mut().zip(c).zip(p) {
-            *over = c.abs_diff(*p).saturating_sub(limit);
+    let mut any = false;
+    let tiles = thresholds.chunks(TILES).zip(hits.chunks_mut(TILES));
+    for (index, (most, (thresholds, hits))) in most.chunks_mut(SEGMENT_PX).zip(tiles).enumerate() {
+        if !touched[index.min(SEGMENTS_MAX - 1)] {
+            continue;
         }
-        return over.iter().fold(0, |any, over| any | over) != 0;
+        let pieces = most.chunks(TILE_WIDTH_PX);
+        for (most, (threshold, hit)) in pieces.zip(thresholds.iter().zip(hits)) {
+            *hit = most.iter().fold(0, |most, change| (*change).max(most)) > *threshold;
+            any |= *hit;
+        }
+        most.fill(0);
     }
-    current.iter().zip(previous).any(|(c, p)| c.abs_diff(*p) > limit)
+    any
 }
 
 /// Whether |current − previous| exceeds a limit anywhere in a piece of a row.
@@ -194,55 +192,6 @@ pub fn tile_masks(
     any != 0
 }
 
-/// The range of levels per column over some rows of two images: `rows` rows from `begin` on, `stride` apart.
-/// `bright` and `dark` have the length of a row piece. `false` where an image ends before.
-#[inline(always)]
-pub fn range_of_rows(
-    (one, other): (&[u8], &[u8]),
-    (begin, stride, rows): (usize, usize, usize),
-    bright: &mut [u8],
-    dark: &mut [u8],
-) -> bool {
-    let length = bright.len().min(dark.len());
-    bright.fill(0);
-    dark.fill(u8::MAX);
-    for row in 0..rows {
-        let from = begin + row * stride;
-        let (Some(a), Some(b)) = (one.get(from..from + length), other.get(from..from + length)) else {
-            return false;
-        };
-        for ((bright, dark), (a, b)) in bright.iter_mut().zip(dark.iter_mut()).zip(a.iter().zip(b)) {
-            *bright = (*bright).max(*a).max(*b);
-            *dark = (*dark).min(*a).min(*b);
-        }
-    }
-    true
-}
-
-/// How far each pixel is outside the range of levels of the columns within `reach` of it; 0 for pixels nearer than
-/// that to an end. Gives the largest. `bright` and `dark` are used up.
-#[inline(always)]
-pub fn beyond(current: &[u8], bright: &mut [u8], dark: &mut [u8], reach: usize, change: &mut [u8]) -> u8 {
-    let length = current.len();
-    change.fill(0);
-    if length <= 2 * reach || bright.len() != length || dark.len() != length || change.len() != length {
-        return 0;
-    }
-    // Each step widens by one column: then each place holds the range of 2·reach + 1 columns from it on.
-    for _ in 0..2 * reach {
-        for i in 0..length - 1 {
-            bright[i] = bright[i].max(bright[i + 1]);
-            dark[i] = dark[i].min(dark[i + 1]);
-        }
-    }
-    let inner = reach..length - reach;
-    let ranges = bright.iter().zip(dark.iter());
-    for ((c, change), (bright, dark)) in current[inner.clone()].iter().zip(&mut change[inner]).zip(ranges) {
-        *change = c.saturating_sub(*bright).max(dark.saturating_sub(*c));
-    }
-    change.iter().fold(0, |most, change| most.max(*change))
-}
-
 /// Sums over the pixels of a window, each with the weight max(0, [`WEIGHT_STEPS`]·|change| − floor).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct WindowSums {
@@ -254,6 +203,22 @@ pub struct WindowSums {
     pub second: [u64; 3],
     /// Pixels with a weight.
     pub count: u64,
+}
+
+impl WindowSums {
+    /// Takes a pixel.
+    pub fn add(&mut self, (x, y): (usize, usize), weight: u8) {
+        let (x, y, weight) = (x as u64, y as u64, u64::from(weight));
+        self.sum += weight;
+        let [by_x, by_y] = &mut self.first;
+        *by_x += weight * x;
+        *by_y += weight * y;
+        let [by_xx, by_xy, by_yy] = &mut self.second;
+        *by_xx += weight * x * x;
+        *by_xy += weight * x * y;
+        *by_yy += weight * y * y;
+        self.count += u64::from(weight > 0);
+    }
 }
 
 /// Steps of a weight per level.
@@ -409,7 +374,9 @@ mod tests {
             let run = |isa: Isa| {
                 let kernels = Kernels::new(isa);
                 let mut tiles = vec![true; width.div_ceil(32)];
-                kernels.changed_tiles(c, a, width, &vec![threshold; width.div_ceil(32)], &mut tiles);
+                let mut most = vec![0; width];
+                kernels.changed_tiles((c, a), width, &vec![threshold; width.div_ceil(32)], &mut most, &mut tiles);
+                assert!(most.iter().all(|most| *most == 0));
                 let mut rows = [0; 8];
                 kernels.tile_masks((c, a, b), (0, width, 32), threshold, &mut rows);
                 let first: Vec<u64> = (0..8)
@@ -419,10 +386,6 @@ mod tests {
                 assert_eq!(first, rows);
                 let masks: Vec<u64> = c.chunks(32).zip(a.chunks(32)).zip(b.chunks(32))
                     .map(|((c, a), b)| kernels.change_mask(c, a, b, threshold)).collect();
-                let (mut bright, mut dark, mut beyond) = (vec![0; size], vec![0; size], vec![0; size]);
-                kernels.range_of_rows((a, b), (0, 1, 1), &mut bright, &mut dark);
-                let most = kernels.beyond(c, &mut bright, &mut dark, 3, &mut beyond);
-                assert_eq!(Some(&most), beyond.iter().max());
                 let window: Vec<(usize, usize)> = (0..8).map(|y| (y % 3, (width - 3).min(5 * y))).collect();
                 let sums = kernels.window_sums((c, a, b), (0, width), &window, u32::from(clip));
                 let mut sizes = vec![0; size];
@@ -449,7 +412,7 @@ mod tests {
                     assert_eq!(kernels.change_of_run((c, a, b), begin, length), by_hand);
                 }
                 let both = (kernels.clipped_change_sum(c, a, clip), kernels.read_both(c, a));
-                (tiles, masks, both, sizes, beyond)
+                (tiles, masks, both, sizes)
             };
             let portable = run(Isa::Portable);
             let by_hand = (0..width.div_ceil(32)).map(|tile| {
@@ -457,12 +420,6 @@ mod tests {
                 columns.into_iter().any(|x| (0..8).any(|y| c[y * width + x].abs_diff(a[y * width + x]) > threshold))
             });
             prop_assert!(portable.0.iter().copied().eq(by_hand));
-            let outside = (3..size - 3).map(|i| {
-                let levels = a[i - 3..=i + 3].iter().chain(&b[i - 3..=i + 3]);
-                let (low, high) = levels.fold((255, 0), |(low, high), v| (v.min(&low).to_owned(), v.max(&high).to_owned()));
-                c[i].saturating_sub(high).max(low.saturating_sub(c[i]))
-            });
-            prop_assert!(portable.4[3..size - 3].iter().copied().eq(outside));
             for isa in Isa::available() {
                 prop_assert_eq!(&run(*isa), &portable, "{:?}", isa);
             }
