@@ -78,6 +78,8 @@ pub struct MoverSearch {
     tiles: Vec<(usize, usize)>,
     found: Vec<TileInFront>,
     spots: Vec<Spot>,
+    /// Those before it have ended.
+    first_open: usize,
 }
 
 impl MoverSearch {
@@ -88,6 +90,7 @@ impl MoverSearch {
             tiles: Vec::with_capacity(1024),
             found: Vec::with_capacity(1024),
             spots: Vec::with_capacity(SPOTS_OPEN_MAX),
+            first_open: 0,
         }
     }
 
@@ -100,6 +103,7 @@ impl MoverSearch {
         limits: (usize, u8),
     ) -> impl Iterator<Item = (Moments, Blob)> + '_ {
         self.spots.clear();
+        self.first_open = 0;
         let (left, end) = (blob.left.saturating_sub(1), blob.right + 2);
         'rows: for y in (blob.top..=blob.bottom).step_by(ROW_STEP).take(ROWS_MAX) {
             for x in (left..end).step_by(TILE_WIDTH_PX) {
@@ -120,6 +124,7 @@ impl MoverSearch {
         difference_sigma: f32,
     ) -> impl Iterator<Item = (Moments, Blob)> + '_ {
         self.spots.clear();
+        self.first_open = 0;
         self.found.clear();
         self.tiles.clear();
         self.tiles.extend(tiles);
@@ -172,8 +177,14 @@ impl MoverSearch {
         {
             return true;
         }
+        // Rows come from the top: what has ended is not touched again.
+        let ended = |spot: &Spot| spot.bottom + SPOT_GAP_PX < y;
+        while self.spots.get(self.first_open).is_some_and(ended) {
+            self.first_open += 1;
+        }
         for (x, change) in columns.zip(changes).filter(|(_, change)| *change > limits.1) {
-            let touched = self.spots.iter_mut().rev().find(|spot| {
+            let open = self.spots.get_mut(self.first_open..).unwrap_or_default();
+            let touched = open.iter_mut().rev().find(|spot| {
                 y <= spot.bottom + SPOT_GAP_PX
                     && x + SPOT_GAP_PX >= spot.left
                     && x <= spot.right + SPOT_GAP_PX
