@@ -12,6 +12,13 @@ const ROUGHNESS_MAX_PX: f64 = 1.5;
 /// Balls fly the same way when the cosine between them is above this, and are of one size within this log ratio.
 const SAME_WAY_COSINE: f64 = 0.5;
 const SAME_SIZE_LOG: f64 = 0.6;
+/// A path of this length has its full say, in ball radii (5.5 m).
+const LONG_PATH_RADII: f64 = 150.0;
+/// With so many balls that say at least this share of what the loudest says the size of a pitch is known, and others are
+/// within this log ratio of it.
+const SIZE_KNOWN_BALLS: usize = 4;
+const LOUD_SHARE: f64 = 0.1;
+const KNOWN_SIZE_LOG: f64 = 0.4;
 /// Nothing smaller can be told from noise, pixels: a glint of 0.5 px is as slow as a ball of this size.
 const RADIUS_MIN_PX: f64 = 1.2;
 /// Stamps of ordinary cameras shake by this much, seconds: along its way a fast ball seems rough by half a pixel.
@@ -123,6 +130,30 @@ impl TrackShape {
         vx.hypot(vy) * self.span_s / self.radius_px.max(RADIUS_MIN_PX)
     }
 
+    fn direction(&self) -> [f64; 2] {
+        let [vx, vy] = self.velocity_px_per_s;
+        let speed = vx.hypot(vy).max(1e-9);
+        [vx / speed, vy / speed]
+    }
+
+    /// Whether two fly the same way.
+    fn flies_like(&self, other: &Self) -> bool {
+        let (u, v) = (self.direction(), other.direction());
+        u[0] * v[0] + u[1] * v[1] > SAME_WAY_COSINE
+    }
+
+    /// Size of the logarithm of their radii's ratio.
+    fn size_log(&self, other: &Self) -> f64 {
+        (self.radius_px.max(0.1) / other.radius_px.max(0.1)).ln().abs()
+    }
+
+    /// What it says of how pitches go. As many balls are thrown back as are pitched, and along longer paths, so speed
+    /// tells: it counts by its cube; and many more birds than balls may pass, but few of them straight for several metres.
+    pub fn say(&self) -> f64 {
+        let length = (self.path_radii() / LONG_PATH_RADII).min(1.0);
+        (length * self.speed_radii_per_s()).powi(3)
+    }
+
     /// The kind this shape alone allows.
     pub fn kind(&self, config: &TrackerConfig) -> TrackKind {
         if self.roughness_px > ROUGHNESS_MAX_PX {
@@ -193,28 +224,43 @@ fn peak_speed(samples: &[Sample]) -> f64 {
 }
 
 /// Which of these shapes of one camera go with its pitches: most balls, and the fast ones most of all, fly the
-/// same way at about the same size. `false`: a throw back, a pick-off, or something else that is smooth. As many balls
-/// are thrown back as are pitched, and along longer paths, so only speed tells: it counts by its cube.
+/// same way at about the same size. `false`: a throw back, a pick-off, or something else that is smooth.
 pub fn vote(shapes: &[TrackShape]) -> Vec<bool> {
-    let direction = |s: &TrackShape| {
-        let [vx, vy] = s.velocity_px_per_s;
-        let speed = vx.hypot(vy).max(1e-9);
-        [vx / speed, vy / speed]
-    };
-    let alike = |a: &TrackShape, b: &TrackShape| {
-        let (u, v) = (direction(a), direction(b));
-        let size = (a.radius_px.max(0.1) / b.radius_px.max(0.1)).ln().abs();
-        u[0] * v[0] + u[1] * v[1] > SAME_WAY_COSINE && size < SAME_SIZE_LOG
-    };
     let support = |a: &TrackShape| -> f64 {
-        let friends = shapes.iter().filter(|b| alike(a, b));
-        friends.map(|b| b.speed_radii_per_s().powi(3)).sum()
+        let friends = shapes
+            .iter()
+            .filter(|b| a.flies_like(b) && a.size_log(b) < SAME_SIZE_LOG);
+        friends.map(TrackShape::say).sum()
     };
-    let leader = shapes.iter().max_by(|a, b| support(a).total_cmp(&support(b)));
-    shapes
+    let Some(leader) = shapes.iter().max_by(|a, b| support(a).total_cmp(&support(b))) else {
+        return Vec::new();
+    };
+    let friends = shapes
         .iter()
-        .map(|s| leader.is_some_and(|l| alike(l, s)))
-        .collect()
+        .filter(|s| leader.flies_like(s) && leader.size_log(s) < SAME_SIZE_LOG);
+    let (typical, known) = match typical(friends.collect()) {
+        Some(typical) => (typical, KNOWN_SIZE_LOG),
+        None => (leader, SAME_SIZE_LOG),
+    };
+    let votes = shapes
+        .iter()
+        .map(|s| leader.flies_like(s) && typical.size_log(s) < known);
+    votes.collect()
+}
+
+/// The ball of the middle size, each counted by what it says; `None` where too few say much.
+fn typical(mut friends: Vec<&TrackShape>) -> Option<&TrackShape> {
+    let loudest = friends.iter().map(|s| s.say()).fold(0.0, f64::max);
+    let loud = friends.iter().filter(|s| s.say() > LOUD_SHARE * loudest).count();
+    if loud < SIZE_KNOWN_BALLS {
+        return None;
+    }
+    friends.sort_by(|a, b| a.radius_px.total_cmp(&b.radius_px));
+    let mut left = 0.5 * friends.iter().map(|s| s.say()).sum::<f64>();
+    friends.into_iter().find(|s| {
+        left -= s.say();
+        left <= 0.0
+    })
 }
 
 #[cfg(test)]
@@ -259,6 +305,39 @@ mod tests {
             back(1800.0),
         ];
         assert_eq!(vote(&shapes), [true, false, true, false]);
+        // A bird of half the size flies their way: four pitches know it, three do not (ln(3.3/2) = 0.50).
+        let mut shapes = vec![shape(-3100.0, 200.0, 3.3); 3];
+        shapes.push(shape(-600.0, 40.0, 2.0));
+        assert_eq!(vote(&shapes[1..]), [true, true, true]);
+        shapes.insert(0, shape(-2900.0, 200.0, 3.2));
+        assert_eq!(vote(&shapes), [true, true, true, true, false]);
+        // Sixty birds that were followed for an eighth of a second do not outvote one pitch: 0.125·550/1.2 = 57 radii.
+        let bird = TrackShape {
+            span_s: 0.125,
+            ..shape(-550.0, 60.0, 1.2)
+        };
+        let mut shapes = vec![bird; 60];
+        shapes.push(shape(-3100.0, 200.0, 3.3));
+        let votes = vote(&shapes);
+        assert!(votes[60] && votes[..60].iter().all(|bird| !bird));
+    }
+
+    #[test]
+    fn a_thing_of_a_size_between_does_not_make_birds_of_pitches() {
+        // It is like both: ln(3.5/2.05) = 0.53, ln(2.05/1.2) = 0.54.
+        let bird = |radius_px: f64| TrackShape {
+            span_s: 0.15,
+            ..shape(-700.0, 60.0, radius_px)
+        };
+        let mut shapes = vec![shape(-3300.0, 200.0, 3.5); 12];
+        shapes.extend(vec![bird(1.2); 20]);
+        shapes.push(bird(2.05));
+        let votes = vote(&shapes);
+        assert!(votes[..12].iter().all(|pitch| *pitch), "{votes:?}");
+        assert!(votes[12..].iter().all(|bird| !bird), "{votes:?}");
+        // A smaller ball than the one between would allow: ln(3.9/2.05) = 0.64.
+        shapes.push(shape(-3300.0, 200.0, 3.9));
+        assert_eq!(vote(&shapes).last(), Some(&true));
     }
 
     #[test]
