@@ -14,14 +14,28 @@ const BLUR_TRACKS: usize = 4;
 /// Gauss–Newton steps of a trial.
 const STEPS: usize = 8;
 
-/// How well each blur has explained the tracks so far; the camera's optics do not change from pitch to pitch.
+/// How well each blur explains one ball.
+pub type BlurCosts = [f64; EDGE_SIGMAS_PX.len()];
+
+/// How well each blur has explained the balls so far; the camera's optics do not change from pitch to pitch.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct BlurChoice {
-    costs: [f64; EDGE_SIGMAS_PX.len()],
+    costs: BlurCosts,
     tracks: usize,
 }
 
 impl BlurChoice {
+    /// With one ball more, while more are of use.
+    pub fn learn(&mut self, own: &BlurCosts) {
+        if self.tracks >= BLUR_TRACKS {
+            return;
+        }
+        for (sum, cost) in self.costs.iter_mut().zip(own) {
+            *sum += cost;
+        }
+        self.tracks += 1;
+    }
+
     /// Index of the likeliest blur tried.
     fn best(&self) -> usize {
         let costs = self.costs.iter().enumerate();
@@ -60,14 +74,15 @@ impl BlurChoice {
     }
 }
 
-/// Fits a few pictures of a track with every blur (later only with the best) and keeps the likeliest over all tracks.
-/// The pictures are of the same pixels for every blur, or their costs could not be compared.
+/// Fits a few pictures of a track with every blur (later only with the best) and takes the likeliest over all tracks. With
+/// it how well each blur explains this track, if it is to have a say. The pictures are of the same pixels for every blur, or
+/// their costs could not be compared.
 pub fn choose_edge(
     mut pictures: Vec<Picture>,
     first: &Shared,
     points: usize,
-    blur: &mut BlurChoice,
-) -> Option<(Edge, Shared)> {
+    blur: &BlurChoice,
+) -> Option<(Edge, Shared, Option<BlurCosts>)> {
     let settled = blur.tracks >= BLUR_TRACKS || (blur.tracks > 0 && points < BLUR_POINTS_MIN);
     let mut found: [Option<(f64, Shared)>; EDGE_SIGMAS_PX.len()] = Default::default();
     // From blur to blur the ball changes little: each begins where the last has ended.
@@ -97,19 +112,18 @@ pub fn choose_edge(
             *slot = Some((cost, held));
         }
     }
+    let mut own = BlurCosts::default();
+    for (slot, found) in own.iter_mut().zip(&found) {
+        *slot = found.map_or(f64::INFINITY, |(cost, _)| cost);
+    }
+    let tried = !settled && found.iter().all(Option::is_some);
     let mut total = *blur;
-    if !settled && found.iter().all(Option::is_some) {
-        for (sum, cost) in total.costs.iter_mut().zip(found.iter().flatten()) {
-            *sum += cost.0;
-        }
-        total.tracks += 1;
-        // Only a long track is surely a ball.
-        let own: Vec<f64> = found.iter().flatten().map(|f| f.0).collect();
-        if points >= BLUR_POINTS_MIN && BlurChoice::plausible(&own) {
-            *blur = total;
-        }
+    if tried {
+        total.learn(&own);
     }
     let best = total.best();
     let (_, shared) = found.get(best).copied().flatten()?;
-    Some((Edge::new(total.sigma_px()?), shared))
+    // Only a long track is surely a ball.
+    let has_a_say = tried && points >= BLUR_POINTS_MIN && BlurChoice::plausible(&own);
+    Some((Edge::new(total.sigma_px()?), shared, has_a_say.then_some(own)))
 }

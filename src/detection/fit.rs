@@ -10,9 +10,10 @@ use super::background::observe;
 use super::disc::{Edge, LEVEL, LIGHT, OWN, PARAMETERS, Parameters, RADIUS, STREAK_SCALE, Sweep, TERMS};
 use super::lanes::{Look, PixelLanes, Sums};
 use super::patches::Patch;
+use super::view::View;
 
-/// Terms of the light that drift along the track: the lit sphere's. The view turns by tens of degrees while the
-/// ball passes, and the light with it: held still it drew the centre by 0.3 px from end to end.
+/// Terms of the light that drift along the track: the lit sphere's, in the camera's axes. The view turns by tens of degrees
+/// while the ball passes, and the light with it ([`View::turn`]): held still it drew the centre by 0.3 px from end to end.
 const DRIFTS: usize = 3;
 /// Shared parameters: radius in the middle of the track, its growth, streak scale, light, drift of the light.
 pub const SHARED: usize = 3 + TERMS + DRIFTS;
@@ -20,8 +21,8 @@ pub const SHARED: usize = 3 + TERMS + DRIFTS;
 const DRIFT: usize = 3 + TERMS;
 /// First term of the light that drifts.
 const DRIFTING: usize = TERMS - DRIFTS;
-/// Prior σ of the drift from begin to end.
-const DRIFT_SIGMA: f64 = 0.7;
+/// Prior σ of the drift from begin to end, where no lens tells how the view turns and where one does.
+const DRIFT_SIGMA: [f64; 2] = [0.7, 0.15];
 /// Most Gauss–Newton steps of a centre.
 const OWN_STEPS_MAX: usize = 10;
 /// ... while the shared parameters still move.
@@ -62,8 +63,8 @@ pub struct Shared {
 }
 
 impl Shared {
-    /// Before anything was fitted: a radius and how well the streak's length is known.
-    pub fn start(radius_px: f64, streak_scale_sigma: f64) -> Self {
+    /// Before anything was fitted: a radius, how well the streak's length is known, and whether the views are a known lens's.
+    pub fn start(radius_px: f64, streak_scale_sigma: f64, lens_known: bool) -> Self {
         let mut values = SharedVector::zeros();
         let mut weights = SharedVector::zeros();
         values[0] = radius_px;
@@ -76,7 +77,7 @@ impl Shared {
             *weight = (held / sigma).powi(2);
         }
         for weight in weights.iter_mut().skip(DRIFT) {
-            *weight = DRIFT_SIGMA.powi(-2);
+            *weight = DRIFT_SIGMA[usize::from(lens_known)].powi(-2);
         }
         let prior = values;
         // Lit from above and a little from the camera's side, as by day and under lamps.
@@ -116,17 +117,19 @@ impl Shared {
         over
     }
 
-    fn fill(&self, place: f64, own: &Vector3<f64>) -> Parameters {
+    fn fill(&self, (place, turn): (f64, &Matrix3<f64>), own: &Vector3<f64>) -> Parameters {
         let mut parameters = Parameters::zeros();
         parameters.fixed_rows_mut::<OWN>(0).copy_from(own);
         parameters[RADIUS] = self.radius_px(place);
         parameters[STREAK_SCALE] = self.values[2];
-        for i in 0..TERMS {
+        for i in 0..DRIFTING {
             parameters[LIGHT + i] = self.values[3 + i];
         }
-        for i in 0..DRIFTS {
-            parameters[LIGHT + DRIFTING + i] += place * self.values[DRIFT + i];
-        }
+        let light =
+            self.values.fixed_rows::<DRIFTS>(3 + DRIFTING) + self.values.fixed_rows::<DRIFTS>(DRIFT) * place;
+        parameters
+            .fixed_rows_mut::<DRIFTS>(LIGHT + DRIFTING)
+            .copy_from(&(turn * light));
         parameters
     }
 
@@ -143,6 +146,8 @@ pub struct Picture {
     pixels: PixelLanes,
     sweep: Sweep,
     place: f64,
+    /// The light, from the camera's axes to the line of sight's.
+    turn: Matrix3<f64>,
     start_px: Vector2<f64>,
     reach_px: f64,
     model_variance: f64,
@@ -162,8 +167,8 @@ pub struct PictureStart {
     pub streak_px: Vector2<f64>,
     /// Radius that decides which pixels are fitted.
     pub radius_px: f64,
-    /// What the lens makes of a circle there: offset on its axis to offset in the picture.
-    pub shape: Matrix2<f64>,
+    /// What the lens makes of it there.
+    pub view: View,
     /// Place in the track, −½ at its begin, ½ at its end.
     pub place: f64,
 }
@@ -184,6 +189,8 @@ pub struct FittedCentre {
     pub covariance_px2: Matrix2<f64>,
     /// Mean squared residual over its expectation.
     pub chi2: f64,
+    /// Level of the ball before its light ([`LEVEL`]).
+    pub level: f64,
 }
 
 impl Picture {
@@ -200,8 +207,9 @@ impl Picture {
         let level = near.0 / f64::max(near.1, 1.0);
         Some(Self {
             pixels: PixelLanes::new(&observations),
-            sweep: Sweep::new(start.streak_px, edge.sigma_px, &start.shape),
+            sweep: Sweep::new(start.streak_px, edge.sigma_px, &start.view.shape),
             place: start.place,
+            turn: start.view.turn,
             start_px: start.centre_px,
             reach_px: start.reach_px(),
             model_variance: (MODEL_ERROR_SHARE * contrast).powi(2),
@@ -222,15 +230,16 @@ impl Picture {
     pub fn moved_to(&self, start: &PictureStart, edge: &Edge, change_max_px: f64) -> Option<Self> {
         let reach_px = start.reach_px();
         ((reach_px - self.reach_px).abs() < change_max_px).then(|| Self {
-            sweep: Sweep::new(start.streak_px, edge.sigma_px, &start.shape),
+            sweep: Sweep::new(start.streak_px, edge.sigma_px, &start.view.shape),
             place: start.place,
+            turn: start.view.turn,
             ..self.clone()
         })
     }
 
     /// Sums over the pixels: for all parameters, or for the own ones alone at half the cost.
     fn sums(&self, own: &Vector3<f64>, (shared, edge): (&Shared, &Edge), all: bool) -> Sums {
-        let parameters = shared.fill(self.place, own);
+        let parameters = shared.fill((self.place, &self.turn), own);
         let noise = (self.model_variance, HUBER_SIGMAS);
         let look = Look::new(&parameters, (&self.sweep, edge), noise);
         if all {
@@ -280,16 +289,20 @@ impl Picture {
 
     /// ∂(frame's shared parameters)/∂(track's shared parameters): radius by radius and growth.
     fn chain(&self, shared: &Shared) -> SMatrix<f64, { PARAMETERS - OWN }, SHARED> {
-        let mut chain = SMatrix::zeros();
+        let mut chain: SMatrix<f64, { PARAMETERS - OWN }, SHARED> = SMatrix::zeros();
         let stretch = (1.0 + shared.values[1] * self.place).max(0.2);
         chain[(0, 0)] = 1.0 / stretch;
         chain[(0, 1)] = -shared.values[0] * self.place / (stretch * stretch);
-        for i in 1..PARAMETERS - OWN {
+        for i in 1..LIGHT - OWN + DRIFTING {
             chain[(i, i + 1)] = 1.0;
         }
-        for i in 0..DRIFTS {
-            chain[(LIGHT - OWN + DRIFTING + i, DRIFT + i)] = self.place;
-        }
+        let mut sphere = chain.fixed_rows_mut::<DRIFTS>(LIGHT - OWN + DRIFTING);
+        sphere
+            .fixed_columns_mut::<DRIFTS>(3 + DRIFTING)
+            .copy_from(&self.turn);
+        sphere
+            .fixed_columns_mut::<DRIFTS>(DRIFT)
+            .copy_from(&(self.turn * self.place));
         chain
     }
 }
@@ -419,8 +432,10 @@ pub fn fit_centre(
         centre_px: picture.own.xy(),
         covariance_px2: total.fixed_view::<2, 2>(0, 0).into_owned(),
         chi2: picture.chi2,
+        level: picture.own[LEVEL],
     })
 }
 
+mod hidden;
 #[cfg(test)]
 mod tests;

@@ -80,6 +80,26 @@ impl PixelLanes {
     }
 }
 
+impl PixelLanes {
+    /// Every pixel with the level that it should have, and how much of it the ball covers.
+    pub fn modelled(&self, look: &Look<'_>) -> Vec<(Observation, f64, f64)> {
+        let mut all = Vec::with_capacity(LANES * self.blocks.len());
+        for block in &self.blocks {
+            let seen = see::<false>(block, self.corner, look);
+            for l in 0..block.count.min(LANES) {
+                let observation = Observation {
+                    at: self.corner + Vector2::new(f64::from(block.x[l]), f64::from(block.y[l])),
+                    value: f64::from(block.value[l]),
+                    background: f64::from(block.background[l]),
+                    variance: f64::from(block.variance[l]),
+                };
+                all.push((observation, f64::from(seen.value[l]), f64::from(seen.coverage[l])));
+            }
+        }
+        all
+    }
+}
+
 /// What all pixels of a picture have in common.
 pub struct Look<'a> {
     centre: Vector2<f64>,

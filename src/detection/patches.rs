@@ -4,9 +4,11 @@
 
 use std::collections::VecDeque;
 
+use nalgebra::Vector2;
+
 use super::blobs::{Blob, Images};
 use crate::geometry::Pixel;
-use crate::scene::{Detection, Track};
+use crate::scene::{Detection, Track, TrackPoint};
 use crate::time::StampedMidpoint;
 
 /// Pixels around a blob's box that are kept too.
@@ -18,9 +20,15 @@ const REACH_MARGIN_PX: f64 = 12.0;
 /// ... and never further than this.
 const REACH_MAX_PX: f64 = 44.0;
 
+/// A track may lack so many frames before its begin and after its end.
+const BEYOND_ENDS: f64 = 3.4;
+/// Points that say where the ball was beyond an end.
+const END_POINTS: usize = 8;
+
 /// Where a cut-out is, in the frame and in the arena.
 #[derive(Debug, Clone, Copy)]
 struct Header {
+    frame: u64,
     stamped: StampedMidpoint,
     centre: Pixel,
     left: usize,
@@ -66,6 +74,7 @@ impl PatchPool {
     /// innings look like a leak.
     pub fn new(capacity_bytes: usize) -> Self {
         let unused = Header {
+            frame: 0,
             stamped: StampedMidpoint::from_nanos(0),
             centre: Pixel::new(0.0, 0.0),
             left: 0,
@@ -128,6 +137,7 @@ impl PatchPool {
         }
         self.next = end;
         self.headers.push_back(Header {
+            frame: detection.frame,
             stamped,
             centre,
             left,
@@ -140,12 +150,15 @@ impl PatchPool {
         });
     }
 
-    /// A pool of its own with the cut-outs of this track's points: what a second look on another thread needs.
+    /// A pool of its own with the cut-outs of this track's points, and those that hold the ball where the track lacks a
+    /// frame: what a second look on another thread needs.
     pub fn of_track(&self, track: &Track) -> Self {
-        let headers = track
-            .points
-            .iter()
-            .filter_map(|p| self.header(p.stamped, p.pixel));
+        let Some(path) = Path::of(track) else {
+            return Self::new(0);
+        };
+        let first = self.headers.partition_point(|h| h.stamped < path.begin);
+        let near = self.headers.range(first..).take_while(|h| h.stamped <= path.end);
+        let headers = near.filter(|h| path.needs(h));
         let mut own = Self {
             bytes: Vec::new(),
             headers: VecDeque::with_capacity(track.points.len()),
@@ -162,6 +175,26 @@ impl PatchPool {
         own
     }
 
+    /// Frames of which something is kept, in their order.
+    pub fn frames(&self) -> impl DoubleEndedIterator<Item = (u64, StampedMidpoint)> {
+        let mut frames: Vec<_> = self.headers.iter().map(|h| (h.frame, h.stamped)).collect();
+        frames.dedup();
+        frames.into_iter()
+    }
+
+    /// The largest cut-out of a frame that holds all within `reach_px` of a place.
+    pub fn around(
+        &self,
+        stamped: StampedMidpoint,
+        place_px: Vector2<f64>,
+        reach_px: f64,
+    ) -> Option<Patch<'_>> {
+        let first = self.headers.partition_point(|h| h.stamped < stamped);
+        let same = self.headers.range(first..).take_while(|h| h.stamped == stamped);
+        let holding = same.filter(|h| h.holds(place_px, reach_px));
+        self.patch(holding.max_by_key(|h| h.width * h.height)?)
+    }
+
     fn header(&self, stamped: StampedMidpoint, centre: Pixel) -> Option<&Header> {
         let first = self.headers.partition_point(|h| h.stamped < stamped);
         self.headers
@@ -172,7 +205,10 @@ impl PatchPool {
 
     /// The cut-out kept under this stamp and centre, if it is still there.
     pub fn find(&self, stamped: StampedMidpoint, centre: Pixel) -> Option<Patch<'_>> {
-        let header = self.header(stamped, centre)?;
+        self.patch(self.header(stamped, centre)?)
+    }
+
+    fn patch(&self, header: &Header) -> Option<Patch<'_>> {
         let size = header.width * header.height;
         let all = self.bytes.get(header.offset..header.offset + 3 * size)?;
         let (current, references) = all.split_at(size);
@@ -187,6 +223,65 @@ impl PatchPool {
             difference_sigma: f64::from(header.difference_sigma),
             radius_px: header.radius_px,
         })
+    }
+}
+
+impl Header {
+    fn holds(&self, place_px: Vector2<f64>, reach_px: f64) -> bool {
+        let within = |place: f64, first: usize, count: usize| {
+            place - reach_px >= first as f64 && place + reach_px < (first + count) as f64
+        };
+        within(place_px.x, self.left, self.width) && within(place_px.y, self.top, self.height)
+    }
+}
+
+/// Where the ball of a track is, also in frames that the track lacks.
+struct Path<'a> {
+    points: &'a [TrackPoint],
+    /// First and last stamp that it is looked for.
+    begin: StampedMidpoint,
+    end: StampedMidpoint,
+}
+
+impl<'a> Path<'a> {
+    fn of(track: &'a Track) -> Option<Self> {
+        let (first, last) = track.span()?;
+        let steps = track.points.windows(2).filter_map(|pair| match pair {
+            [a, b] => Some(b.stamped.seconds_since(a.stamped.nanos())),
+            _ => None,
+        });
+        let beyond_s = BEYOND_ENDS * steps.min_by(f64::total_cmp).unwrap_or(0.0);
+        Some(Self {
+            points: &track.points,
+            begin: StampedMidpoint::from_seconds_since(first.nanos(), -beyond_s),
+            end: StampedMidpoint::from_seconds_since(last.nanos(), beyond_s),
+        })
+    }
+
+    /// Whether a cut-out is a point's own, or holds the ball in a frame of which the track has no point.
+    fn needs(&self, header: &Header) -> bool {
+        let after = self.points.partition_point(|p| p.stamped < header.stamped);
+        match self.points.get(after) {
+            Some(point) if point.stamped == header.stamped => point.pixel == header.centre,
+            _ => self
+                .place(after, header.stamped)
+                .is_some_and(|place| header.holds(place, 0.0)),
+        }
+    }
+
+    /// On the straight line between the neighbours, or on from an end; `after` is the first point behind the stamp.
+    fn place(&self, after: usize, stamped: StampedMidpoint) -> Option<Vector2<f64>> {
+        let count = self.points.len();
+        let (from, to) = match after {
+            0 => (0, END_POINTS.min(count) - 1),
+            _ if after < count => (after - 1, after),
+            _ => (count.saturating_sub(END_POINTS), count - 1),
+        };
+        let (from, to) = (self.points.get(from)?, self.points.get(to)?);
+        let span_s = to.stamped.seconds_since(from.stamped.nanos());
+        let share = stamped.seconds_since(from.stamped.nanos()) / f64::max(span_s, 1e-9);
+        let (from, to) = (from.pixel.vector(), to.pixel.vector());
+        Some(from + (to - from) * share)
     }
 }
 

@@ -4,38 +4,77 @@ use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::fit::FittedCentre;
 use crate::scene::Track;
+use crate::time::StampedMidpoint;
 
 /// Fitted centres used, the nearest in time.
 const NEIGHBOURS: usize = 10;
 /// Fewest that give a path.
 const NEIGHBOURS_MIN: usize = 5;
+/// Centres that tell the level.
+const LEVELS: usize = 5;
 /// Neighbours further than this from the path are left out, worst first.
 const STRAY_PX: f64 = 0.6;
 
+/// Where a ball must be in a frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Place {
+    /// Centre, pixels.
+    pub centre_px: Vector2<f64>,
+    /// Velocity, pixels per second.
+    pub velocity_px_per_s: Vector2<f64>,
+    /// Level of the ball in the frames around ([`FittedCentre::level`]).
+    pub level: f64,
+}
+
 /// The place of point `index` on a parabola through the fitted centres nearest to it in time, without its own.
-pub fn between(track: &Track, centres: &[Option<FittedCentre>], index: usize) -> Option<Vector2<f64>> {
+pub fn between(track: &Track, centres: &[Option<FittedCentre>], index: usize) -> Option<Place> {
     let epoch = track.points.get(index)?.stamped.nanos();
-    let mut near: Vec<(f64, Vector2<f64>)> = track
-        .points
-        .iter()
-        .zip(centres)
-        .enumerate()
+    let near = track.points.iter().zip(centres).enumerate();
+    let near = near
         .filter(|(i, _)| *i != index)
-        .filter_map(|(_, (point, centre))| {
-            Some((point.stamped.seconds_since(epoch), centre.as_ref()?.centre_px))
-        })
-        .collect();
-    near.sort_by(|a, b| a.0.abs().total_cmp(&b.0.abs()));
+        .filter_map(|(_, (point, centre))| Some(Near::new(epoch, point.stamped, centre.as_ref()?)));
+    place(near.collect())
+}
+
+/// A fitted centre near the time that is asked for.
+#[derive(Clone, Copy)]
+pub struct Near {
+    t_s: f64,
+    centre_px: Vector2<f64>,
+    level: f64,
+}
+
+impl Near {
+    /// Of a frame with this stamp.
+    pub fn new(epoch_ns: i64, stamped: StampedMidpoint, centre: &FittedCentre) -> Self {
+        Self {
+            t_s: stamped.seconds_since(epoch_ns),
+            centre_px: centre.centre_px,
+            level: centre.level,
+        }
+    }
+}
+
+/// Where the ball is at time 0, on a parabola through those of the centres that are nearest to it.
+pub fn place(mut near: Vec<Near>) -> Option<Place> {
+    near.sort_by(|a, b| a.t_s.abs().total_cmp(&b.t_s.abs()));
     near.truncate(NEIGHBOURS);
+    let mut levels: Vec<f64> = near.iter().take(LEVELS).map(|n| n.level).collect();
+    levels.sort_by(f64::total_cmp);
+    let level = levels.get(levels.len() / 2).copied()?;
     while near.len() >= NEIGHBOURS_MIN {
         let curve = Parabola::through(&near)?;
         let worst = near
             .iter()
-            .map(|(t, at)| (curve.at(*t) - at).norm())
+            .map(|n| (curve.at(n.t_s) - n.centre_px).norm())
             .enumerate()
             .max_by(|a, b| a.1.total_cmp(&b.1))?;
         if worst.1 < STRAY_PX {
-            return Some(curve.at(0.0));
+            return Some(Place {
+                centre_px: curve.at(0.0),
+                velocity_px_per_s: Vector2::new(curve.x.y, curve.y.y) / curve.scale_s,
+                level,
+            });
         }
         near.remove(worst.0);
     }
@@ -50,15 +89,15 @@ struct Parabola {
 }
 
 impl Parabola {
-    fn through(near: &[(f64, Vector2<f64>)]) -> Option<Self> {
-        let scale_s = near.iter().map(|(t, _)| t.abs()).fold(1e-6, f64::max);
+    fn through(near: &[Near]) -> Option<Self> {
+        let scale_s = near.iter().map(|n| n.t_s.abs()).fold(1e-6, f64::max);
         let mut normal = Matrix3::zeros();
         let (mut x, mut y) = (Vector3::zeros(), Vector3::zeros());
-        for (t, at) in near {
-            let row = powers(t / scale_s);
+        for near in near {
+            let row = powers(near.t_s / scale_s);
             normal += row * row.transpose();
-            x += row * at.x;
-            y += row * at.y;
+            x += row * near.centre_px.x;
+            y += row * near.centre_px.y;
         }
         let cholesky = normal.cholesky()?;
         Some(Self {
@@ -109,6 +148,7 @@ mod tests {
                     centre_px: at(i),
                     covariance_px2: nalgebra::Matrix2::identity(),
                     chi2: 1.0,
+                    level: 90.0 + i as f64,
                 })
             })
             .collect();
@@ -118,7 +158,12 @@ mod tests {
             }
         }
         let found = between(&track, &centres, 10).unwrap();
-        assert!((found - at(10)).norm() < 1e-3, "{found} is not {}", at(10));
+        let off = found.centre_px - at(10);
+        assert!(off.norm() < 1e-3, "{found:?} is not {}", at(10));
+        // x′ = 16 − 0.1·10 = 15, y′ = 0.8·10 = 8 px a frame; the levels near are 98 to 103 without 100.
+        let velocity = Vector2::new(15.0, 8.0) * 175.0;
+        assert!((found.velocity_px_per_s - velocity).norm() < 0.1, "{found:?}");
+        assert!((98.0..=103.0).contains(&found.level), "{found:?}");
         centres.truncate(4);
         assert!(between(&track, &centres, 2).is_none());
     }

@@ -1,14 +1,16 @@
 //! The second look at a whole track: velocity gives the streak, all frames together the ball, each frame its centre.
 
-use nalgebra::{Matrix2, Vector2, Vector3};
+use nalgebra::{Matrix2, Vector2};
 
-use super::blur::{BlurChoice, EDGE_SIGMAS_PX, choose_edge};
+use super::blur::{BlurChoice, BlurCosts, EDGE_SIGMAS_PX, choose_edge};
 use super::config::DetectorConfig;
 use super::disc::Edge;
-use super::fit::{FittedCentre, Picture, PictureStart, Shared, SharedMatrix, fit_centre, fit_shared};
+use super::fit::{FittedCentre, Picture, PictureStart, Shared, SharedMatrix, fit_shared};
 use super::patches::PatchPool;
 use super::path::between;
+use super::regain::FittedBall;
 use super::running::Running;
+use super::view::View;
 use crate::geometry::{Intrinsics, Pixel};
 use crate::scene::{Track, TrackPoint};
 
@@ -30,10 +32,11 @@ const STREAK_SCALE_SIGMA: f64 = 0.03;
 const RADIUS_OVER_FIRST_LOOK: f64 = 1.3;
 /// What is left of light and blur in a centre, the same way for a whole track, pixels.
 const SYSTEMATIC_PX: f64 = 0.03;
-/// A centre further than this from the path of its neighbours is sought again.
+/// Where no centre was found, one is taken that is no further than this from the path of its neighbours.
 const OFF_PATH_PX: f64 = 0.8;
-/// A frame this unlike the ball keeps its centroid.
-const CHI2_MAX: f64 = 25.0;
+/// ... and one that is nearer, in a picture no more unlike the ball than this, is right.
+const NEAR_PATH_PX: f64 = 0.25;
+const LIKE_CHI2: f64 = 3.0;
 /// Balls in flight whose fits are kept to be gone on with.
 const RUNNING_MAX: usize = 3;
 
@@ -52,6 +55,16 @@ pub struct Refinement {
     pub fitted: usize,
     /// Points that kept their centroid.
     pub left: usize,
+}
+
+/// A refined track, and what it teaches.
+pub struct Refined {
+    /// What was found.
+    pub refinement: Refinement,
+    /// For [`Refiner::learn`], if it is a ball.
+    pub blur: Option<BlurCosts>,
+    /// The ball as it looks in this camera, to find it in the frames that its track lacks.
+    pub ball: FittedBall,
 }
 
 /// The second look: replaces the centroids of a track of a detector's candidates by centres fitted to the cut-outs
@@ -78,10 +91,10 @@ impl Refiner {
     }
 
     /// Refines a track in place. Points whose cut-out is gone or does not look like the ball keep their centroid and
-    /// its larger covariance. `None`: too few cut-outs, nothing changed. What it teaches of
-    /// the blur is for [`Self::learn`].
-    pub fn refine(&self, cut_outs: &PatchPool, track: &mut Track) -> Option<(Refinement, BlurChoice)> {
+    /// its larger covariance. `None`: too few cut-outs, nothing changed.
+    pub fn refine(&self, cut_outs: &PatchPool, track: &mut Track) -> Option<Refined> {
         let fit = self.fit(cut_outs, track)?;
+        let span = track.span()?;
         let Fit {
             starts,
             indices,
@@ -91,47 +104,49 @@ impl Refiner {
             covariance,
             blur,
         } = fit;
+        let mut ball = FittedBall {
+            exposure_s: self.exposure_s.unwrap_or(EXPOSURE_GUESS_S.0),
+            lens: self.lens,
+            edge,
+            shared,
+            covariance,
+            span,
+            centres: Vec::new(),
+        };
         let mut centres: Vec<Option<FittedCentre>> = vec![None; track.points.len()];
         for (index, picture) in indices.iter().zip(&mut pictures) {
             if let Some(slot) = centres.get_mut(*index) {
-                *slot = fit_centre(picture, &shared, &covariance, &edge).filter(|c| c.chi2 <= CHI2_MAX);
+                *slot = ball.centre(picture);
             }
         }
         let path = centres.clone();
         for (index, start) in &starts {
-            let Some(expected) = between(track, &path, *index) else {
+            let (Some(place), Some(slot)) = (between(track, &path, *index), centres.get_mut(*index)) else {
                 continue;
             };
-            let Some(slot) = centres.get_mut(*index) else {
-                continue;
-            };
-            if slot.is_some_and(|c| (c.centre_px - expected).norm() < OFF_PATH_PX) {
+            let off_path_px = |c: &FittedCentre| (c.centre_px - place.centre_px).norm();
+            let now_off_px = slot.as_ref().map_or(OFF_PATH_PX, off_path_px);
+            if slot.is_some_and(|c| now_off_px < NEAR_PATH_PX && c.chi2 < LIKE_CHI2) {
                 continue;
             }
-            // Where an arm or an edge drew the centroid away the fit began beside the ball: again from the path.
+            // Where an arm or an edge drew the centroid away the fit began beside the ball, and where a wire hides a
+            // part of it the rest drew it: again from the path.
             let again = PictureStart {
-                centre_px: expected,
+                centre_px: place.centre_px,
                 radius_px: shared.radius_px(start.place),
                 ..*start
             };
             let point = track.points.get(*index)?;
-            let picture = cut_outs
-                .find(point.stamped, point.pixel)
-                .and_then(|patch| Picture::new(&patch, &again, &edge));
-            let better =
-                picture.and_then(|mut picture| fit_centre(&mut picture, &shared, &covariance, &edge));
-            if let Some(better) =
-                better.filter(|c| c.chi2 <= CHI2_MAX && (c.centre_px - expected).norm() < OFF_PATH_PX)
-            {
-                *slot = Some(better);
-            }
+            let patch = cut_outs.find(point.stamped, point.pixel);
+            let better = patch.and_then(|patch| ball.seek(&patch, &again, &place));
+            *slot = better.filter(|c| off_path_px(c) < now_off_px).or(*slot);
         }
         let mut fitted = 0;
         for (point, centre) in track.points.iter_mut().zip(&centres) {
             if let Some(centre) = centre {
                 point.pixel = Pixel::new(centre.centre_px.x, centre.centre_px.y);
-                point.covariance_px2 =
-                    Some(centre.covariance_px2 + Matrix2::identity() * SYSTEMATIC_PX.powi(2));
+                point.covariance_px2 = Some(whole_covariance(centre));
+                ball.centres.push((point.stamped, *centre));
                 fitted += 1;
             }
         }
@@ -139,16 +154,20 @@ impl Refiner {
             radius_px: shared.radius_px(0.0),
             radius_ends_px: [shared.radius_px(-0.5), shared.radius_px(0.5)],
             edge_sigma_px: edge.sigma_px,
-            exposure_s: self.exposure_s.unwrap_or(EXPOSURE_GUESS_S.0) * shared.values[2],
+            exposure_s: ball.exposure_s * shared.values[2],
             fitted,
             left: track.points.len() - fitted,
         };
-        Some((refinement, blur))
+        Some(Refined {
+            refinement,
+            blur,
+            ball,
+        })
     }
 
-    /// Takes what a look has taught of the blur.
-    pub fn learn(&mut self, blur: BlurChoice) {
-        self.blur = blur;
+    /// Takes what a ball has taught of the blur.
+    pub fn learn(&mut self, blur: &BlurCosts) {
+        self.blur.learn(blur);
     }
 
     /// Fits a ball that still flies, so that [`Self::refine`] goes on from there; whether it could be fitted.
@@ -156,10 +175,14 @@ impl Refiner {
         let Some(fit) = self.fit(cut_outs, track) else {
             return false;
         };
-        let Some(running) = Running::new(track, &fit.indices, fit.pictures, (&fit.edge, &fit.shared)) else {
+        let Some(running) = Running::new(
+            track,
+            &fit.indices,
+            fit.pictures,
+            (&fit.edge, &fit.shared, fit.blur),
+        ) else {
             return false;
         };
-        self.blur = fit.blur;
         self.running.retain(|older| !older.is_of(track));
         if self.running.len() >= RUNNING_MAX {
             self.running.remove(0);
@@ -176,10 +199,9 @@ impl Refiner {
     fn fit(&self, pool: &PatchPool, track: &Track) -> Option<Fit> {
         let starts = self.starts(pool, track)?;
         let running = self.running.iter().find(|running| running.is_of(track));
-        let mut blur = self.blur;
-        let (edge, mut shared) = match running {
+        let (edge, mut shared, blur) = match running {
             Some(running) => running.ball(track)?,
-            None => self.first_fit(pool, track, &starts, &mut blur)?,
+            None => self.first_fit(pool, track, &starts)?,
         };
         // The pixels that the ball of the found size reaches.
         let (mut indices, mut pictures) = (Vec::new(), Vec::new());
@@ -245,10 +267,7 @@ impl Refiner {
                     centre_px: point.pixel.vector(),
                     streak_px: velocity(&track.points, index) * exposure,
                     radius_px: first_look * RADIUS_OVER_FIRST_LOOK,
-                    shape: self
-                        .lens
-                        .as_ref()
-                        .map_or_else(Matrix2::identity, |lens| shape_at(lens, point.pixel)),
+                    view: View::of(self.lens.as_ref(), point.pixel),
                     place: point.stamped.seconds_since(epoch) / span - 0.5,
                 };
                 (index, start)
@@ -263,14 +282,14 @@ impl Refiner {
         pool: &PatchPool,
         track: &Track,
         starts: &[(usize, PictureStart)],
-        blur: &mut BlurChoice,
-    ) -> Option<(Edge, Shared)> {
+    ) -> Option<(Edge, Shared, Option<BlurCosts>)> {
         let scale_sigma = if self.exposure_s.is_some() {
             STREAK_SCALE_SIGMA
         } else {
             EXPOSURE_GUESS_S.1
         };
         let radius = median(starts.iter().map(|(_, s)| s.radius_px))?;
+        let first = Shared::start(radius, scale_sigma, self.lens.is_some());
         let step = starts.len().div_ceil(TRIAL_FRAMES).max(1);
         let widest = Edge::new(EDGE_SIGMAS_PX.last().copied().unwrap_or(1.0));
         let trial = starts.iter().step_by(step).filter_map(|(index, start)| {
@@ -281,8 +300,13 @@ impl Refiner {
         if trial.len() < PICTURES_MIN {
             return None;
         }
-        choose_edge(trial, &Shared::start(radius, scale_sigma), starts.len(), blur)
+        choose_edge(trial, &first, starts.len(), &self.blur)
     }
+}
+
+/// The covariance of a fitted centre with what light and blur leave in it, px².
+pub fn whole_covariance(centre: &FittedCentre) -> Matrix2<f64> {
+    centre.covariance_px2 + Matrix2::identity() * SYSTEMATIC_PX.powi(2)
 }
 
 /// Ball and pictures of a track, fitted together.
@@ -294,25 +318,7 @@ struct Fit {
     shared: Shared,
     edge: Edge,
     covariance: SharedMatrix,
-    blur: BlurChoice,
-}
-
-/// What a lens makes of a small sphere's circle at a pixel: offset on its axis, at the same depth, to offset in the
-/// picture. The identity on the axis, and where the lens cannot be inverted.
-fn shape_at(lens: &Intrinsics, pixel: Pixel) -> Matrix2<f64> {
-    let shape = || {
-        let direction = lens.direction(pixel).ok()?;
-        let at = Vector3::new(direction.x, direction.y, 1.0);
-        let by_point = lens.project_with_jacobian(&at).ok()?.by_camera_point;
-        // The circle lies across the line of sight; its axes are as near to the picture's as can be.
-        let toward = -at.normalize();
-        let right = toward.cross(&Vector3::y()).try_normalize(1e-9)?;
-        let down = right.cross(&toward);
-        let focal_px = (lens.fx_px * lens.fy_px).sqrt();
-        let shape = Matrix2::from_columns(&[by_point * right, by_point * down]) / focal_px;
-        (0.25..4.0).contains(&shape.determinant()).then_some(shape)
-    };
-    shape().unwrap_or_else(Matrix2::identity)
+    blur: Option<BlurCosts>,
 }
 
 /// Velocity at one point from a straight line through its neighbours, pixels per second.
@@ -341,66 +347,4 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    const LENS: Intrinsics = Intrinsics {
-        fx_px: 1000.0,
-        fy_px: 1000.0,
-        cx_px: 1023.5,
-        cy_px: 511.5,
-        distortion: [0.0; 5],
-    };
-
-    #[test]
-    fn on_the_axis_a_sphere_is_a_circle() {
-        let shape = shape_at(&LENS, Pixel::new(1023.5, 511.5));
-        assert!((shape - Matrix2::identity()).norm() < 1e-12, "{shape}");
-    }
-
-    #[test]
-    fn to_the_side_it_is_longer_by_the_cosine() {
-        // tan θ = 0.75, cos θ = 0.8: across the radius f·R/z, along it f·R/(z·cos θ).
-        let shape = shape_at(&LENS, Pixel::new(1023.5 + 750.0, 511.5));
-        assert!(
-            (shape - Matrix2::new(1.25, 0.0, 0.0, 1.0)).norm() < 1e-12,
-            "{shape}"
-        );
-        let shape = shape_at(&LENS, Pixel::new(1023.5, 511.5 + 750.0));
-        assert!(
-            (shape - Matrix2::new(1.0, 0.0, 0.0, 1.25)).norm() < 1e-12,
-            "{shape}"
-        );
-    }
-
-    #[test]
-    fn the_outline_of_a_sphere_is_the_shape_s_ellipse() {
-        // By brute force: rays that touch a small sphere of radius R at depth z, through a lens with distortion.
-        let lens = Intrinsics {
-            distortion: [-0.08, 0.02, 0.0004, -0.0003, 0.0],
-            ..LENS
-        };
-        let (centre, radius) = (Vector3::new(9.0, -3.0, 20.0), 0.0368);
-        let toward = centre.normalize();
-        let across = toward.cross(&Vector3::x()).normalize();
-        let seen = lens.project(&centre).unwrap();
-        let shape = shape_at(&lens, seen);
-        let on_axis = shape.try_inverse().unwrap();
-        for k in 0..12 {
-            let turn = nalgebra::Rotation3::from_axis_angle(
-                &nalgebra::Unit::new_normalize(toward),
-                f64::from(k) * std::f64::consts::TAU / 12.0,
-            );
-            let touch = centre + turn * across * radius;
-            let off = lens.project(&touch).unwrap().vector() - seen.vector();
-            let expected = 1000.0 * radius / 20.0;
-            assert!(
-                ((on_axis * off).norm() - expected).abs() < 2e-3 * expected,
-                "{k}: {off}"
-            );
-        }
-    }
 }

@@ -1,5 +1,6 @@
 //! A ball's fit that is gone on with when more of the ball has been seen.
 
+use super::blur::BlurCosts;
 use super::disc::Edge;
 use super::fit::{Picture, PictureStart, Shared};
 use crate::geometry::Pixel;
@@ -18,6 +19,8 @@ pub struct Running {
     span_s: f64,
     edge: Edge,
     shared: Shared,
+    /// What the ball says of the blur.
+    blur: Option<BlurCosts>,
     /// By stamp; the pixel is the first look's.
     pictures: Vec<(StampedMidpoint, Pixel, Picture)>,
 }
@@ -28,7 +31,7 @@ impl Running {
         track: &Track,
         indices: &[usize],
         pictures: Vec<Picture>,
-        (edge, shared): (&Edge, &Shared),
+        (edge, shared, blur): (&Edge, &Shared, Option<BlurCosts>),
     ) -> Option<Self> {
         let (begin, end) = track.span()?;
         let points = indices.iter().filter_map(|index| track.points.get(*index));
@@ -42,6 +45,7 @@ impl Running {
             span_s: end.seconds_since(begin.nanos()),
             edge: *edge,
             shared: *shared,
+            blur,
             pictures,
         })
     }
@@ -52,13 +56,13 @@ impl Running {
         shared * SHARED_POINTS > self.pictures.len()
     }
 
-    /// Blur and ball as they are over the span of a longer track.
-    pub fn ball(&self, track: &Track) -> Option<(Edge, Shared)> {
+    /// Blur and ball as they are over the span of a longer track, and what the ball says of the blur.
+    pub fn ball(&self, track: &Track) -> Option<(Edge, Shared, Option<BlurCosts>)> {
         let (begin, end) = track.span()?;
         let span_s = self.span_s.max(1e-9);
         let stretch = end.seconds_since(begin.nanos()).max(1e-9) / span_s;
         let middle = (begin.seconds_since(self.begin.nanos()) / span_s - 0.5) + 0.5 * stretch;
-        Some((self.edge, self.shared.over(middle, stretch)))
+        Some((self.edge, self.shared.over(middle, stretch), self.blur))
     }
 
     /// The picture of a point, for the longer track's place and streak.

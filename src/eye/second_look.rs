@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 
 use super::EyeConfig;
 use super::first_look::{BallStep, EndedBall, FlyingBall};
-use crate::detection::{BlurChoice, Refiner};
+use crate::detection::{BlurCosts, Refiner};
 use crate::scene::Track;
 use crate::tracking::{TrackKind, TrackShape, TrackedBall, TrackerConfig, polish, vote};
 
@@ -35,7 +35,7 @@ struct Early {
     by_first_look: Track,
     ball: TrackedBall,
     step: Option<BallStep>,
-    blur: Option<BlurChoice>,
+    blur: Option<BlurCosts>,
 }
 
 /// Early looks kept.
@@ -92,20 +92,20 @@ impl SecondLook {
         };
         ball.track.track = number;
         if let Some(blur) = blur {
-            self.refiner.learn(blur);
+            self.refiner.learn(&blur);
         }
         (ball, step)
     }
 
-    fn look_now(&self, ended: EndedBall) -> (TrackedBall, Option<BallStep>, Option<BlurChoice>) {
+    fn look_now(&self, ended: EndedBall) -> (TrackedBall, Option<BallStep>, Option<BlurCosts>) {
         let EndedBall { mut ball, cut_outs } = ended;
         let mut learnt = None;
         let by_first_look = ball.track.clone();
         if let Some(cut_outs) = &cut_outs
-            && let Some((refinement, blur)) = self.refiner.refine(cut_outs, &mut ball.track)
+            && let Some(mut refined) = self.refiner.refine(cut_outs, &mut ball.track)
         {
-            learnt = Some(blur);
-            tracing::debug!(camera = %ball.track.camera, points = ball.track.points.len(), ?refinement, "refined");
+            let refinement = refined.refinement;
+            let points = ball.track.points.len();
             if let Some(polished) = polish(&ball.track, REFINED_FLOOR_PX) {
                 ball.track = polished;
             }
@@ -116,6 +116,13 @@ impl SecondLook {
             if refinement.fitted < refinement.left || ball.shape.roughness_px > roughness_max_px(&ball) {
                 ball.kind = TrackKind::Rough;
             }
+            let may_be_pitch = ball.kind == TrackKind::Pitch;
+            // What is no ball teaches the wrong blur: a leg or a wing has no edge of a disc.
+            if may_be_pitch || ball.kind == TrackKind::ThrowBack {
+                learnt = refined.blur;
+            }
+            let regained = may_be_pitch.then(|| refined.ball.regain(cut_outs, &mut ball.track));
+            tracing::debug!(camera = %ball.track.camera, points, ?regained, ?refinement, "refined");
         }
         let step = (ball.kind == TrackKind::Pitch)
             .then(|| step_of(&ball.track, &by_first_look, ball.shape.radius_px))
@@ -133,8 +140,12 @@ impl SecondLook {
         self.shapes.extend(balls.iter().map(|ball| ball.shape));
         let votes = vote(&self.shapes);
         let fresh = votes.len() - balls.len();
-        if fresh > SHAPES_KEPT {
-            self.shapes.drain(..fresh - SHAPES_KEPT);
+        // Of the older half those go that say least: birds between two innings do not make the pitches forgotten.
+        while self.shapes.len() > SHAPES_KEPT {
+            let older = self.shapes.iter().take(SHAPES_KEPT / 2).enumerate();
+            let least = older.min_by(|a, b| a.1.say().total_cmp(&b.1.say()));
+            let Some((index, _)) = least else { break };
+            self.shapes.remove(index);
         }
         let fresh_votes = votes.into_iter().skip(fresh);
         balls

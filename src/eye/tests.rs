@@ -181,3 +181,98 @@ fn a_ball_looked_at_in_flight_is_the_ball_looked_at_at_once() {
         }
     }
 }
+
+/// The one pitch that is found where this is painted.
+fn pitch_of(paint: impl Fn(u64) -> Canvas) -> Vec<crate::scene::TrackPoint> {
+    let mut eye = CameraEye::new(CameraId::new("side").unwrap(), EyeConfig::default(), 640, 240);
+    for number in 0..80u64 {
+        eye.push(&paint(number).frame(number, 175.0, 2.0)).unwrap();
+    }
+    eye.finish();
+    let mut pitches = eye
+        .drain_balls()
+        .into_iter()
+        .filter(|b| b.kind == TrackKind::Pitch);
+    let pitch = pitches.next().unwrap();
+    assert!(pitches.next().is_none());
+    pitch.track.points
+}
+
+#[test]
+fn a_wire_that_hides_half_of_a_ball_does_not_draw_its_centre() {
+    // Five pixels wide and level: the ball sinks past it for a fifth of its flight.
+    let stand = Canvas::stand(640, 240, 3, 40.0);
+    let points = pitch_of(|number| {
+        let mut canvas = stand.clone();
+        if (10..75).contains(&number) {
+            canvas.ball(&ball(number as f64 - 10.0));
+        }
+        canvas.light[640 * 103..640 * 108].fill(35.0);
+        canvas
+    });
+    let score = Score::of(&points, |frame| flight(frame as f64 - 10.0));
+    println!("{score:?}");
+    assert!(score.points >= 55, "{} of 65 points", score.points);
+    assert!(score.worst_px < 0.3 && score.rms_px < 0.08, "{score:?}");
+}
+
+#[test]
+fn a_ball_is_found_again_in_frames_that_its_track_lacks() {
+    let config = EyeConfig::default();
+    let camera = CameraId::new("side").unwrap();
+    let mut first = FirstLook::new(camera, &config, 640, 240);
+    let mut second = SecondLook::new(&config);
+    for frame in frames() {
+        first.push(&frame).unwrap();
+    }
+    let mut ended = first.drain().remove(0);
+    let whole: Vec<u64> = ended.ball.track.points.iter().map(|p| p.frame).collect();
+    assert_eq!((whole[0], whole.len()), (10, 50));
+    let lost = [10, 11, 30, 31, 32, 40, 58, 59];
+    ended.ball.track.points.retain(|p| !lost.contains(&p.frame));
+    let points = second.look(ended).0.track.points;
+    assert_eq!(points.iter().map(|p| p.frame).collect::<Vec<_>>(), whole);
+    let found: Vec<_> = points.into_iter().filter(|p| lost.contains(&p.frame)).collect();
+    let score = Score::of(&found, |frame| flight(frame as f64 - 10.0));
+    assert!(score.worst_px < 0.2 && score.nees < 2.0, "{score:?}");
+}
+
+#[test]
+fn a_pitch_begins_where_it_leaves_the_hand() {
+    let stand = Canvas::stand(640, 240, 3, 40.0);
+    let arm = Canvas {
+        width: 9,
+        height: 60,
+        light: vec![150.0; 9 * 60],
+    };
+    let points = pitch_of(|number| {
+        let mut canvas = stand.clone();
+        // The hand carries the ball until frame 20 and then falls behind.
+        let since = number as f64 - 20.0;
+        let [x, y] = flight(since.min(0.0) + 4.0);
+        let behind = if since > 0.0 {
+            5.0 * since - 0.04 * since * since
+        } else {
+            0.0
+        };
+        if number < 70 {
+            canvas.ball(&Ball {
+                centre: flight(since + 4.0),
+                ..ball(0.0)
+            });
+        }
+        canvas.paste(&arm, x - 4.0 + behind, y + 2.0 + 0.5 * since.max(0.0));
+        canvas
+    });
+    let score = Score::of(&points, |frame| flight(frame as f64 - 16.0));
+    println!(
+        "from {} to {}: {score:?}",
+        points[0].frame,
+        points.last().unwrap().frame
+    );
+    let lacking: Vec<u64> = (22..70)
+        .filter(|f| points.iter().all(|p| p.frame != *f))
+        .collect();
+    assert!(lacking.is_empty(), "lacking {lacking:?}");
+    assert!(score.worst_px < 0.5, "{score:?}");
+}

@@ -34,8 +34,9 @@ const DEGREE_MAX: usize = 5;
 /// many.
 const TRIM_PLACES: usize = 6;
 const FINE_PLACES: usize = 24;
-/// Points beyond the smooth stretch that the polish decides about.
-const SPARED: usize = 5;
+/// Points before and after the smooth stretch that the polish decides about: in the shadow at the plate a centroid is drawn
+/// aside for many frames.
+const SPARED: [usize; 2] = [5, 12];
 const TRIM_SHARE: usize = 16;
 /// Last points left out before a path is followed on.
 const LEFT_OUT: [usize; 3] = [0, 4, 8];
@@ -77,7 +78,8 @@ fn judged(
 ) -> Option<(Vec<Point>, TrackedBall)> {
     let smooth = smooth_part(all, degree_max)?;
     // A bent begin takes places from the end: the polish decides about the next few at either end.
-    let spared = smooth.start.saturating_sub(SPARED)..(smooth.end + SPARED).min(all.len());
+    let [before, after] = SPARED;
+    let spared = smooth.start.saturating_sub(before)..(smooth.end + after).min(all.len());
     let (smooth, points) = (all.get(smooth)?, all.get(spared)?.to_vec());
     let polished = |points: &[Point]| {
         let track = Track {

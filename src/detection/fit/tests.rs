@@ -58,7 +58,7 @@ fn errors(case: &Case, sigma_edge: f64) -> ([f64; 2], [f64; 2], f64, f64, Shared
                 radius_px: case.radius,
             };
             let start = PictureStart {
-                shape: Matrix2::identity(),
+                view: View::default(),
                 centre_px: truth + Vector2::new(0.5, -0.6),
                 streak_px: direction * case.streak,
                 radius_px: case.radius * 1.1,
@@ -67,7 +67,7 @@ fn errors(case: &Case, sigma_edge: f64) -> ([f64; 2], [f64; 2], f64, f64, Shared
             Picture::new(&patch, &start, &edge).unwrap()
         })
         .collect();
-    let mut shared = Shared::start(0.75 * case.radius, 0.03);
+    let mut shared = Shared::start(0.75 * case.radius, 0.03, false);
     fit_shared(&mut pictures, &mut shared, &edge, 10).unwrap();
     shared.release_light();
     let (covariance, cost) = fit_shared(&mut pictures, &mut shared, &edge, 15).unwrap();
