@@ -203,11 +203,17 @@ fn live(lab: &Lab, path: &Path, folder: &Path, round: Round) -> String {
 /// an exposure follows them.
 fn same_points(live: &[Track], replayed: &[Track]) {
     assert_eq!(live.len(), replayed.len(), "tracks");
-    let (mut compared, mut worst_px) = (0, 0.0_f64);
+    let (mut compared, mut worst_px, mut worst_ns) = (0, 0.0_f64, 0);
     for (live, replayed) in live.iter().zip(replayed) {
         let name = format!("{} track {}", replayed.camera, replayed.track);
         assert_eq!(live.camera, replayed.camera);
         assert_eq!(live.points.len(), replayed.points.len(), "{name}");
+        // Both by one line over the whole ball, whatever each line is: no point keeps the stamp of its arrival.
+        let offsets = live.points.iter().zip(&replayed.points);
+        let offsets = offsets.map(|(a, b)| a.stamped.nanos() - b.stamped.nanos());
+        let (least, most) = offsets.fold((i64::MAX, i64::MIN), |(l, m), o| (l.min(o), m.max(o)));
+        worst_ns = worst_ns.max(most - least);
+        assert!(most - least < 50_000, "{name}: stamps {} ns apart", most - least);
         for (a, b) in live.points.iter().zip(&replayed.points) {
             let apart = (a.pixel.vector() - b.pixel.vector()).norm();
             assert!(apart < 0.01, "{name} frame {}: {apart} px apart", b.frame);
@@ -215,7 +221,7 @@ fn same_points(live: &[Track], replayed: &[Track]) {
             compared += 1;
         }
     }
-    println!("{compared} centres, {worst_px:.4} px apart at most");
+    println!("{compared} centres, {worst_px:.4} px apart at most; stamps of a ball {worst_ns} ns");
     assert!(compared > 200, "{compared} points");
 }
 

@@ -217,19 +217,24 @@ impl Watcher<'_> {
 pub const LOOK_QUEUE: usize = 64;
 
 /// The clock model learns with every frame, and a young one moves while the ball flies: all points of a track get
-/// stamps by the model as it stands at the track's end.
+/// stamps by the model as it stands at the track's end, those too that the second look finds in other frames' cut-outs.
 fn stamps_by_one_line(
     ended: &EndedBall,
     recent: &VecDeque<(u64, StampedMidpoint, Option<i64>)>,
     clock: Option<&ClockLine>,
 ) -> Vec<(u64, StampedMidpoint)> {
     let Some(clock) = clock else { return Vec::new() };
-    let points = ended.ball.track.points.iter();
-    points
-        .filter_map(|point| {
-            let at = recent.binary_search_by_key(&point.frame, |(frame, _, _)| *frame);
-            let (_, _, device_ns) = recent.get(at.ok()?)?;
-            Some((point.frame, clock.stamped((*device_ns)?)))
-        })
-        .collect()
+    let Some(cut_outs) = &ended.cut_outs else {
+        return Vec::new();
+    };
+    let seen = ended.ball.track.points.iter().map(|point| point.frame);
+    let mut frames: Vec<u64> = seen.chain(cut_outs.frames().map(|(frame, _)| frame)).collect();
+    frames.sort_unstable();
+    frames.dedup();
+    let stamped = |frame: u64| {
+        let at = recent.binary_search_by_key(&frame, |(frame, _, _)| *frame);
+        let (_, _, device_ns) = recent.get(at.ok()?)?;
+        Some((frame, clock.stamped((*device_ns)?)))
+    };
+    frames.into_iter().filter_map(stamped).collect()
 }

@@ -102,6 +102,11 @@ impl Shared {
         self.values[0] / (1.0 + self.values[1] * place).max(0.2)
     }
 
+    /// Length of the streak as a share of what the exposure says.
+    pub fn streak_scale(&self) -> f64 {
+        self.values[2]
+    }
+
     /// The same ball over another stretch of its flight: the place `middle` becomes its middle (place 0), and it is
     /// `stretch` times as long. 1/r and the light are linear in place.
     pub fn over(&self, middle: f64, stretch: f64) -> Self {

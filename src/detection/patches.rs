@@ -150,15 +150,23 @@ impl PatchPool {
         });
     }
 
-    /// A pool of its own with the cut-outs of this track's points, and those that hold the ball where the track lacks a
-    /// frame: what a second look on another thread needs.
+    /// A pool of its own with the cut-outs of this track's points, and where the track lacks a frame the largest that holds
+    /// the ball: what a second look on another thread needs.
     pub fn of_track(&self, track: &Track) -> Self {
-        let Some(path) = Path::of(track) else {
+        let Some(path) = BallPath::of(track) else {
             return Self::new(0);
         };
         let first = self.headers.partition_point(|h| h.stamped < path.begin);
         let near = self.headers.range(first..).take_while(|h| h.stamped <= path.end);
-        let headers = near.filter(|h| path.needs(h));
+        // Of one frame only the largest: a crowd has many.
+        let mut headers: Vec<&Header> = Vec::with_capacity(track.points.len());
+        for header in near.filter(|h| path.needs(h)) {
+            match headers.last_mut().filter(|last| last.stamped == header.stamped) {
+                Some(last) if last.size() < header.size() => *last = header,
+                Some(_) => {}
+                None => headers.push(header),
+            }
+        }
         let mut own = Self {
             bytes: Vec::new(),
             headers: VecDeque::with_capacity(track.points.len()),
@@ -192,7 +200,7 @@ impl PatchPool {
         let first = self.headers.partition_point(|h| h.stamped < stamped);
         let same = self.headers.range(first..).take_while(|h| h.stamped == stamped);
         let holding = same.filter(|h| h.holds(place_px, reach_px));
-        self.patch(holding.max_by_key(|h| h.width * h.height)?)
+        self.patch(holding.max_by_key(|h| h.size())?)
     }
 
     fn header(&self, stamped: StampedMidpoint, centre: Pixel) -> Option<&Header> {
@@ -227,6 +235,10 @@ impl PatchPool {
 }
 
 impl Header {
+    fn size(&self) -> usize {
+        self.width * self.height
+    }
+
     fn holds(&self, place_px: Vector2<f64>, reach_px: f64) -> bool {
         let within = |place: f64, first: usize, count: usize| {
             place - reach_px >= first as f64 && place + reach_px < (first + count) as f64
@@ -236,14 +248,14 @@ impl Header {
 }
 
 /// Where the ball of a track is, also in frames that the track lacks.
-struct Path<'a> {
+struct BallPath<'a> {
     points: &'a [TrackPoint],
     /// First and last stamp that it is looked for.
     begin: StampedMidpoint,
     end: StampedMidpoint,
 }
 
-impl<'a> Path<'a> {
+impl<'a> BallPath<'a> {
     fn of(track: &'a Track) -> Option<Self> {
         let (first, last) = track.span()?;
         let steps = track.points.windows(2).filter_map(|pair| match pair {

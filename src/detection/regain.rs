@@ -23,8 +23,11 @@ const BEYOND_PX: f64 = 0.1;
 const ADDED_CHI2_MAX: f64 = 6.0;
 /// ... and the centre is as sure as this, pixels.
 const SIGMA_MAX_PX: f64 = 0.25;
-/// Frames beyond an end in which the ball may be missed before it is given up.
+/// ... and the ball is no brighter or darker than its neighbours by more than this ratio (sun and shade).
+const LEVEL_RATIO_MAX: f64 = 3.0;
+/// Frames beyond an end in which the ball may be missed before it is given up, and in which it may be found.
 const MISSES_MAX: usize = 1;
+const BEYOND_MAX: usize = 6;
 
 /// A ball as all frames of its track show it.
 pub struct FittedBall {
@@ -35,7 +38,7 @@ pub struct FittedBall {
     pub(super) covariance: SharedMatrix,
     /// First and last stamp of the track.
     pub(super) span: (StampedMidpoint, StampedMidpoint),
-    /// By rising stamp.
+    /// In no order.
     pub(super) centres: Vec<(StampedMidpoint, FittedCentre)>,
 }
 
@@ -94,7 +97,7 @@ impl FittedBall {
         frames: impl Iterator<Item = (u64, StampedMidpoint)>,
     ) {
         let mut misses = 0;
-        for frame in frames {
+        for frame in frames.take(BEYOND_MAX) {
             if !self.add(cut_outs, track, frame) {
                 misses += 1;
                 if misses > MISSES_MAX {
@@ -135,16 +138,15 @@ impl FittedBall {
                 .collect(),
         )?;
         let start = self.start(stamped, &place);
-        let patch = cut_outs.around(
-            stamped,
-            place.centre_px,
-            start.radius_px + 0.5 * start.streak_px.norm(),
-        )?;
+        let streak_px = start.streak_px.norm() * self.shared.streak_scale();
+        let reach_px = start.radius_px + 0.5 * streak_px;
+        let patch = cut_outs.around(stamped, place.centre_px, reach_px)?;
         let found = self.seek(&patch, &start, &place)?;
         let variance = 0.5 * whole_covariance(&found).trace();
         let off_px = (found.centre_px - place.centre_px).norm();
         let allowed_px = SIGMAS_MAX * (variance + PATH_SIGMA_PX.powi(2)).sqrt() + BEYOND_PX;
-        let sure = found.chi2 <= ADDED_CHI2_MAX && variance < SIGMA_MAX_PX.powi(2);
+        let ratio = found.level.max(place.level) / found.level.min(place.level).max(1e-9);
+        let sure = found.chi2 <= ADDED_CHI2_MAX && variance < SIGMA_MAX_PX.powi(2) && ratio < LEVEL_RATIO_MAX;
         (sure && off_px <= allowed_px).then_some(found)
     }
 

@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 
 use super::EyeConfig;
 use super::first_look::{BallStep, EndedBall, FlyingBall};
-use crate::detection::{BlurCosts, Refiner};
+use crate::detection::{BlurCosts, Refinement, Refiner};
 use crate::scene::Track;
 use crate::tracking::{TrackKind, TrackShape, TrackedBall, TrackerConfig, polish, vote};
 
@@ -17,8 +17,10 @@ const SHORT_ROUGHNESS_MAX_PX: f64 = 0.2;
 const SHORT_ROUGHNESS_SIGMAS: f64 = 2.5;
 /// A path is short to here, and in between to there, seconds.
 const SHORT_S: [f64; 2] = [0.25, 0.5];
-/// Earlier balls that vote on which way pitches go.
+/// Earlier balls that vote on which way pitches go, and how many balls ago they were seen at most: a camera may be moved, and
+/// batting practice ends.
 const SHAPES_KEPT: usize = 60;
+const SHAPES_BACK_MAX: usize = 240;
 /// Points over which a step is averaged.
 const STEP_POINTS: usize = 6;
 
@@ -26,7 +28,9 @@ const STEP_POINTS: usize = 6;
 pub struct SecondLook {
     refiner: Refiner,
     tracker_config: TrackerConfig,
-    shapes: Vec<TrackShape>,
+    /// Balls seen, each with its number; by rising number.
+    shapes: Vec<(usize, TrackShape)>,
+    balls: usize,
     early: Vec<Early>,
 }
 
@@ -48,6 +52,7 @@ impl SecondLook {
             refiner: Refiner::new(&config.detector),
             tracker_config: config.tracker.clone(),
             shapes: Vec::new(),
+            balls: 0,
             early: Vec::new(),
         }
     }
@@ -109,19 +114,19 @@ impl SecondLook {
             if let Some(polished) = polish(&ball.track, REFINED_FLOOR_PX) {
                 ball.track = polished;
             }
-            if let Some(shape) = TrackShape::measure(&ball.track, refinement.radius_px) {
-                ball.shape = shape;
-                ball.kind = shape.kind(&self.tracker_config);
-            }
-            if refinement.fitted < refinement.left || ball.shape.roughness_px > roughness_max_px(&ball) {
-                ball.kind = TrackKind::Rough;
-            }
+            self.judge(&mut ball, refinement);
             let may_be_pitch = ball.kind == TrackKind::Pitch;
             // What is no ball teaches the wrong blur: a leg or a wing has no edge of a disc.
             if may_be_pitch || ball.kind == TrackKind::ThrowBack {
                 learnt = refined.blur;
             }
             let regained = may_be_pitch.then(|| refined.ball.regain(cut_outs, &mut ball.track));
+            if regained.is_some_and(|count| count > 0) {
+                if let Some(polished) = polish(&ball.track, REFINED_FLOOR_PX) {
+                    ball.track = polished;
+                }
+                self.judge(&mut ball, refinement);
+            }
             tracing::debug!(camera = %ball.track.camera, points, ?regained, ?refinement, "refined");
         }
         let step = (ball.kind == TrackKind::Pitch)
@@ -133,17 +138,33 @@ impl SecondLook {
         (ball, step, learnt)
     }
 
+    /// Measures a refined ball and tells what it is.
+    fn judge(&self, ball: &mut TrackedBall, refinement: Refinement) {
+        if let Some(shape) = TrackShape::measure(&ball.track, refinement.radius_px) {
+            ball.shape = shape;
+            ball.kind = shape.kind(&self.tracker_config);
+        }
+        if refinement.fitted < refinement.left || ball.shape.roughness_px > roughness_max_px(ball) {
+            ball.kind = TrackKind::Rough;
+        }
+    }
+
     /// The pitches among these balls. Which way this camera's pitches go is voted by all balls seen so far, so asking
     /// once at the end is surest.
     pub fn pitches(&mut self, mut balls: Vec<TrackedBall>) -> Vec<Track> {
         balls.retain(|ball| ball.kind == TrackKind::Pitch);
-        self.shapes.extend(balls.iter().map(|ball| ball.shape));
-        let votes = vote(&self.shapes);
+        let numbered = (self.balls..).zip(balls.iter().map(|ball| ball.shape));
+        self.shapes.extend(numbered);
+        self.balls += balls.len();
+        let shapes: Vec<TrackShape> = self.shapes.iter().map(|(_, shape)| *shape).collect();
+        let votes = vote(&shapes);
         let fresh = votes.len() - balls.len();
+        let oldest = self.balls.saturating_sub(SHAPES_BACK_MAX);
+        self.shapes.retain(|(number, _)| *number >= oldest);
         // Of the older half those go that say least: birds between two innings do not make the pitches forgotten.
         while self.shapes.len() > SHAPES_KEPT {
             let older = self.shapes.iter().take(SHAPES_KEPT / 2).enumerate();
-            let least = older.min_by(|a, b| a.1.say().total_cmp(&b.1.say()));
+            let least = older.min_by(|a, b| a.1.1.say().total_cmp(&b.1.1.say()));
             let Some((index, _)) = least else { break };
             self.shapes.remove(index);
         }

@@ -161,11 +161,12 @@ fn a_ball_looked_at_in_flight_is_the_ball_looked_at_at_once() {
     let camera = CameraId::new("side").unwrap();
     let mut first = FirstLook::new(camera, &config, 640, 240);
     let (mut at_once, mut in_flight) = (SecondLook::new(&config), SecondLook::new(&config));
+    let (mut ahead, mut balls) = (0, 0);
     for frame in frames() {
         first.push(&frame).unwrap();
         let open = first.open();
         for flying in first.flying(&open) {
-            in_flight.look_ahead(&flying);
+            ahead += usize::from(in_flight.look_ahead(&flying));
         }
         for ended in first.drain() {
             let again = EndedBall {
@@ -178,8 +179,10 @@ fn a_ball_looked_at_in_flight_is_the_ball_looked_at_at_once() {
                 let apart = (a.pixel.vector() - b.pixel.vector()).norm();
                 assert!(apart < 0.003, "frame {}: {apart} px apart", a.frame);
             }
+            balls += 1;
         }
     }
+    assert_eq!((ahead, balls), (1, 1));
 }
 
 /// The one pitch that is found where this is painted.
@@ -249,15 +252,19 @@ fn a_pitch_begins_where_it_leaves_the_hand() {
         let mut canvas = stand.clone();
         // The hand carries the ball until frame 20 and then falls behind.
         let since = number as f64 - 20.0;
+        // Before, both come up from below on a curve of their own: no free flight.
+        let rise = 0.9 * since.min(0.0).powi(2);
         let [x, y] = flight(since.min(0.0) + 4.0);
+        let y = y + rise;
         let behind = if since > 0.0 {
             5.0 * since - 0.04 * since * since
         } else {
             0.0
         };
         if number < 70 {
+            let [x, y] = flight(since + 4.0);
             canvas.ball(&Ball {
-                centre: flight(since + 4.0),
+                centre: [x, y + rise],
                 ..ball(0.0)
             });
         }
@@ -274,5 +281,7 @@ fn a_pitch_begins_where_it_leaves_the_hand() {
         .filter(|f| points.iter().all(|p| p.frame != *f))
         .collect();
     assert!(lacking.is_empty(), "lacking {lacking:?}");
+    // A frame before the release the hand is 0.9 px off the flight, two before 3.6 px.
+    assert!(points[0].frame >= 19, "from {}", points[0].frame);
     assert!(score.worst_px < 0.5, "{score:?}");
 }

@@ -14,6 +14,8 @@ const SAME_WAY_COSINE: f64 = 0.5;
 const SAME_SIZE_LOG: f64 = 0.6;
 /// A path of this length has its full say, in ball radii (5.5 m).
 const LONG_PATH_RADII: f64 = 150.0;
+/// Short paths are not quite without a say: a camera that looks along the flight sees no long ones.
+const LENGTH_SAY_MIN: f64 = 0.5;
 /// With so many balls that say at least this share of what the loudest says the size of a pitch is known, and others are
 /// within this log ratio of it.
 const SIZE_KNOWN_BALLS: usize = 4;
@@ -150,7 +152,7 @@ impl TrackShape {
     /// What it says of how pitches go. As many balls are thrown back as are pitched, and along longer paths, so speed
     /// tells: it counts by its cube; and many more birds than balls may pass, but few of them straight for several metres.
     pub fn say(&self) -> f64 {
-        let length = (self.path_radii() / LONG_PATH_RADII).min(1.0);
+        let length = (self.path_radii() / LONG_PATH_RADII).clamp(LENGTH_SAY_MIN, 1.0);
         (length * self.speed_radii_per_s()).powi(3)
     }
 
