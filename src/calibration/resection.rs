@@ -298,6 +298,8 @@ mod tests {
             focal_sigma_relative: 0.0,
             position: None,
             landmarks,
+            regions: Vec::new(),
+            masks: Vec::new(),
         };
         (setup, pose)
     }

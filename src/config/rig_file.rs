@@ -8,8 +8,8 @@ use serde::{Deserialize, Deserializer, de};
 use super::{ConfigError, line_of, nearest};
 use crate::geometry::{Intrinsics, Pixel};
 use crate::scene::{
-    CameraId, CameraSetup, DistanceMeasurement, FieldPreset, Landmark, LandmarkPosition, Motion, Rig,
-    RollingShutter, Site,
+    CameraId, CameraSetup, DistanceMeasurement, FieldPreset, Landmark, LandmarkPosition, Motion, PixelRect,
+    Rig, RollingShutter, Site,
 };
 
 /// Standard gravity, m/s² (domain §2).
@@ -68,6 +68,10 @@ struct CameraFile {
     position_m: Option<[f64; 3]>,
     position_sigma_m: Option<f64>,
     focal_sigma_relative: Option<f64>,
+    #[serde(default)]
+    regions_px: Vec<toml::Spanned<[u32; 4]>>,
+    #[serde(default)]
+    masks_px: Vec<toml::Spanned<[u32; 4]>>,
     intrinsics: IntrinsicsFile,
     #[serde(default)]
     landmark: Vec<LandmarkFile>,
@@ -316,6 +320,9 @@ impl Checker<'_> {
             .iter()
             .map(|l| self.landmark(&owner, l, field, [file.width_px, file.height_px]))
             .collect::<Result<Vec<_>, _>>()?;
+        let size_px = [file.width_px, file.height_px];
+        let regions = self.areas(&owner, "regions_px", &file.regions_px, size_px)?;
+        let masks = self.areas(&owner, "masks_px", &file.masks_px, size_px)?;
         Ok(CameraSetup {
             id,
             width_px: file.width_px,
@@ -328,7 +335,39 @@ impl Checker<'_> {
             focal_sigma_relative,
             position,
             landmarks,
+            regions,
+            masks,
         })
+    }
+
+    /// Rectangles `[left, top, width, height]` that lie within the picture.
+    fn areas(
+        &self,
+        owner: &str,
+        key: &str,
+        areas: &[toml::Spanned<[u32; 4]>],
+        [width_px, height_px]: [u32; 2],
+    ) -> Result<Vec<PixelRect>, ConfigError> {
+        let area = |spanned: &toml::Spanned<[u32; 4]>| {
+            let [left, top, width, height] = *spanned.get_ref();
+            let ends = |begin: u32, count: u32| begin.checked_add(count).filter(|_| count > 0);
+            let right = ends(left, width).filter(|right| *right <= width_px);
+            let bottom = ends(top, height).filter(|bottom| *bottom <= height_px);
+            if right.is_none() || bottom.is_none() {
+                let reason = format!(
+                    "{owner}: `{key}` has [{left}, {top}, {width}, {height}]: not a rectangle [left, top, width, height] \
+                     within the picture of {width_px}x{height_px}"
+                );
+                return Err(self.at(spanned.span().start, reason));
+            }
+            Ok(PixelRect {
+                x_px: left,
+                y_px: top,
+                width_px: width,
+                height_px: height,
+            })
+        };
+        areas.iter().map(area).collect()
     }
 
     fn intrinsics(&self, owner: &str, file: IntrinsicsFile) -> Result<Intrinsics, ConfigError> {

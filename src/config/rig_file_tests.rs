@@ -27,6 +27,8 @@ width_px = 2048
 height_px = 1024
 frame_rate_hz = 119.88
 rolling_shutter = "estimate"
+regions_px = [[0, 100, 2048, 900]]
+masks_px = [[1500, 100, 200, 80], [0, 900, 64, 100]]
 intrinsics = { fx_px = 1.7e3, fy_px = 1.7e3, cx_px = 1023.5, cy_px = 511.5 }
 "#;
 
@@ -44,11 +46,29 @@ fn the_contract_s_example_reads() {
     assert!((front_left - Point3::new(-0.2159, 0.4318, 0.0)).norm() < 1e-12);
     assert_eq!(rig.cameras[1].rolling_shutter, RollingShutter::Estimate);
     assert_eq!(rig.cameras[1].intrinsics.distortion, [0.0; 5]);
+    let area = |a: &crate::scene::PixelRect| [a.x_px, a.y_px, a.width_px, a.height_px];
+    let areas = |all: &[crate::scene::PixelRect]| all.iter().map(area).collect::<Vec<_>>();
+    assert_eq!(areas(&rig.cameras[1].regions), [[0, 100, 2048, 900]]);
+    assert_eq!(
+        areas(&rig.cameras[1].masks),
+        [[1500, 100, 200, 80], [0, 900, 64, 100]]
+    );
+    assert!(rig.cameras[0].regions.is_empty() && rig.cameras[0].masks.is_empty());
 }
 
 #[test]
 fn each_mistake_names_its_place() {
     let cases = [
+        (
+            "[0, 900, 64, 100]",
+            "[0, 900, 64, 125]",
+            "rig.toml:27: camera `third`: `masks_px` has [0, 900, 64, 125]: not a rectangle",
+        ),
+        (
+            "[[0, 100, 2048, 900]]",
+            "[[0, 100, 0, 900]]",
+            "`regions_px` has [0, 100, 0, 900]: not a rectangle [left, top, width, height] within the picture of 2048x1024",
+        ),
         (
             "fx_px = 1790.0",
             "fx_pix = 1790.0",

@@ -1,29 +1,7 @@
 //! Settings of one camera's detector.
 
 use crate::geometry::Intrinsics;
-
-/// A rectangle of pixels: columns `x_px .. x_px + width_px`, rows `y_px .. y_px + height_px`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct PixelRect {
-    /// Left column.
-    pub x_px: u32,
-    /// Top row.
-    pub y_px: u32,
-    /// Columns.
-    pub width_px: u32,
-    /// Rows.
-    pub height_px: u32,
-}
-
-impl PixelRect {
-    /// Whether the pixel nearest to (x, y) is inside.
-    pub fn contains(&self, x_px: f64, y_px: f64) -> bool {
-        let left = f64::from(self.x_px) - 0.5;
-        let top = f64::from(self.y_px) - 0.5;
-        (left..left + f64::from(self.width_px)).contains(&x_px)
-            && (top..top + f64::from(self.height_px)).contains(&y_px)
-    }
-}
+use crate::scene::PixelRect;
 
 /// Settings of one camera's detector.
 #[derive(Debug, Clone, PartialEq)]

@@ -42,7 +42,7 @@ mod tiles;
 mod view;
 
 pub use blur::BlurCosts;
-pub use config::{DetectorConfig, PixelRect};
+pub use config::DetectorConfig;
 pub use detector::{Answers, Detector, DetectorCounters, ExpectedBall};
 pub use dispatch::{Isa, Kernels};
 pub use error::DetectionError;

@@ -3,8 +3,9 @@
 //! A region is [`REGION_TILES`] × [`REGION_BANDS`] tiles. Every frame a few rows give the mean of the clipped
 //! |current − previous|; for Gaussian noise that mean is σ_d·√(2/π). Rises are followed at once, falls slowly.
 
-use super::config::{DetectorConfig, PixelRect};
+use super::config::DetectorConfig;
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
+use crate::scene::PixelRect;
 
 /// Tile columns of a region.
 pub const REGION_TILES: usize = 4;

@@ -203,6 +203,8 @@ pub(super) fn rig() -> Rig {
         focal_sigma_relative: 0.0,
         position: None,
         landmarks: Vec::new(),
+        regions: Vec::new(),
+        masks: Vec::new(),
     };
     Rig {
         site: Site {

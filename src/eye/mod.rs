@@ -31,6 +31,8 @@ impl EyeConfig {
         if let Some(setup) = rig.camera(camera) {
             eye.detector.exposure_s = setup.exposure_s;
             eye.detector.lens = Some(setup.intrinsics);
+            eye.detector.regions.clone_from(&setup.regions);
+            eye.detector.masks.clone_from(&setup.masks);
             eye.tracker.frame_rate_hz = setup.frame_rate_hz;
         }
         eye

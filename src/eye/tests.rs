@@ -285,3 +285,62 @@ fn a_pitch_begins_where_it_leaves_the_hand() {
     assert!(points[0].frame >= 19, "from {}", points[0].frame);
     assert!(score.worst_px < 0.5, "{score:?}");
 }
+
+#[test]
+fn a_rig_s_mask_hides_a_ball_and_its_region_holds_it() {
+    let rect = |x_px, y_px, width_px, height_px| crate::scene::PixelRect {
+        x_px,
+        y_px,
+        width_px,
+        height_px,
+    };
+    let found = |regions: Vec<_>, masks: Vec<_>| {
+        let setup = crate::scene::CameraSetup {
+            id: CameraId::new("side").unwrap(),
+            width_px: 640,
+            height_px: 240,
+            frame_rate_hz: 175.0,
+            exposure_s: None,
+            time_offset_s: None,
+            rolling_shutter: crate::scene::RollingShutter::Global,
+            intrinsics: crate::geometry::Intrinsics {
+                fx_px: 1790.0,
+                fy_px: 1790.0,
+                cx_px: 319.5,
+                cy_px: 119.5,
+                distortion: [0.0; 5],
+            },
+            focal_sigma_relative: 0.0,
+            position: None,
+            landmarks: vec![],
+            regions,
+            masks,
+        };
+        let rig = Rig {
+            site: crate::scene::Site {
+                name: String::new(),
+                field: crate::scene::FieldPreset::Professional,
+                motion: crate::scene::Motion::Flight,
+                gravity_mps2: 9.80665,
+                air_density_kgpm3: 1.2,
+            },
+            reference: 0,
+            cameras: vec![setup],
+            distances: vec![],
+        };
+        let camera = CameraId::new("side").unwrap();
+        let mut eye = CameraEye::new(camera.clone(), EyeConfig::of_rig(&rig, &camera), 640, 240);
+        for frame in frames() {
+            eye.push(&frame).unwrap();
+        }
+        eye.finish();
+        eye.drain_pitches()
+            .iter()
+            .map(|track| track.points.len())
+            .sum::<usize>()
+    };
+    assert_eq!(found(vec![], vec![]), 50);
+    assert_eq!(found(vec![rect(0, 64, 640, 112)], vec![]), 50);
+    assert_eq!(found(vec![], vec![rect(0, 64, 640, 112)]), 0);
+    assert_eq!(found(vec![rect(0, 0, 640, 64)], vec![]), 0);
+}

@@ -26,6 +26,7 @@ pub use frame::{Frame, FrameStamp, RawFrame};
 pub use pitch::{FlightSample, Outlook, Pitch, PitchQuality, PitchSigma, StatcastRow};
 pub use pixel_format::PixelFormat;
 pub use rig::{
-    CameraSetup, DistanceMeasurement, Landmark, LandmarkPosition, Motion, Rig, RollingShutter, Site,
+    CameraSetup, DistanceMeasurement, Landmark, LandmarkPosition, Motion, PixelRect, Rig, RollingShutter,
+    Site,
 };
 pub use track::{Track, TrackPoint};

@@ -63,6 +63,29 @@ pub struct Landmark {
     pub sigma_px: f64,
 }
 
+/// A rectangle of pixels: columns `x_px .. x_px + width_px`, rows `y_px .. y_px + height_px`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct PixelRect {
+    /// Left column.
+    pub x_px: u32,
+    /// Top row.
+    pub y_px: u32,
+    /// Columns.
+    pub width_px: u32,
+    /// Rows.
+    pub height_px: u32,
+}
+
+impl PixelRect {
+    /// Whether the pixel nearest to (x, y) is inside.
+    pub fn contains(&self, x_px: f64, y_px: f64) -> bool {
+        let left = f64::from(self.x_px) - 0.5;
+        let top = f64::from(self.y_px) - 0.5;
+        (left..left + f64::from(self.width_px)).contains(&x_px)
+            && (top..top + f64::from(self.height_px)).contains(&y_px)
+    }
+}
+
 /// One camera as the rig file has it.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CameraSetup {
@@ -88,6 +111,10 @@ pub struct CameraSetup {
     pub position: Option<(Point3<f64>, f64)>,
     /// Clicked landmarks.
     pub landmarks: Vec<Landmark>,
+    /// Where a ball is looked for; empty: everywhere.
+    pub regions: Vec<PixelRect>,
+    /// Where none is looked for.
+    pub masks: Vec<PixelRect>,
 }
 
 /// A measured distance between two cameras' centres, which fixes the scale where no landmark does.

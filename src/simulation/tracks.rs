@@ -177,6 +177,8 @@ pub fn rig(scenario: &Scenario) -> Result<Rig, SimulationError> {
                 .survey_sigma_m
                 .map(|sigma| (surveyed(scenario, index, camera, sigma), sigma)),
             landmarks: clicked(scenario, index, camera),
+            regions: Vec::new(),
+            masks: Vec::new(),
         });
     }
     Ok(Rig {

@@ -73,6 +73,12 @@ fn rig_text(rig: &Rig) -> String {
             RollingShutter::Estimate => writeln!(out, "rolling_shutter = \"estimate\""),
             RollingShutter::ReadoutSeconds(s) => writeln!(out, "rolling_shutter = {s:?}"),
         };
+        for (key, areas) in [("regions_px", &camera.regions), ("masks_px", &camera.masks)] {
+            if !areas.is_empty() {
+                let areas = areas.iter().map(|a| [a.x_px, a.y_px, a.width_px, a.height_px]);
+                let _ = writeln!(out, "{key} = {:?}", areas.collect::<Vec<_>>());
+            }
+        }
         if let Some((p, sigma_m)) = camera.position {
             let _ = writeln!(out, "position_m = [{:?}, {:?}, {:?}]", p.x, p.y, p.z);
             let _ = writeln!(out, "position_sigma_m = {sigma_m:?}");

@@ -27,6 +27,8 @@ fn rig(ids: &[&str]) -> Rig {
         focal_sigma_relative: 0.0,
         position: None,
         landmarks: Vec::new(),
+        regions: Vec::new(),
+        masks: Vec::new(),
     };
     Rig {
         site: Site {

@@ -201,6 +201,8 @@ fn setup(k: usize, frame_rate_hz: f64, offset_s: f64, readout_s: f64) -> CameraS
         focal_sigma_relative: 0.0,
         position: None,
         landmarks: vec![],
+        regions: Vec::new(),
+        masks: Vec::new(),
     }
 }
 

@@ -148,6 +148,8 @@ pub fn rig() -> Result<Rig, CameraIdError> {
             },
             focal_sigma_relative: 0.0,
             position: None,
+            regions: Vec::new(),
+            masks: Vec::new(),
             landmarks: Vec::new(),
         })
     };
