@@ -1,8 +1,6 @@
 //! A ball that is known by its track, sought where the track leads: in frames that the track lacks (just out of the hand, where
 //! the first look saw ball and arm as one; before a bright edge; at the bat), and where something hides a part of it.
 
-use nalgebra::Vector2;
-
 use super::disc::Edge;
 use super::fit::{FittedCentre, Picture, PictureStart, Shared, SharedMatrix, fit_centre};
 use super::patches::{Patch, PatchPool};
@@ -48,11 +46,6 @@ impl FittedBall {
         fit_centre(picture, &self.shared, &self.covariance, &self.edge).filter(|c| c.chi2 <= CHI2_MAX)
     }
 
-    /// Places of pixels in which the ball is hidden, if it is where the path leads.
-    pub(super) fn hidden(&self, picture: &Picture, place: &Place) -> Vec<Vector2<f64>> {
-        picture.hidden(place.centre_px, place.level, (&self.shared, &self.edge))
-    }
-
     /// The centre in one frame, sought from where the path leads and in what is not hidden.
     pub(super) fn seek(
         &self,
@@ -60,13 +53,9 @@ impl FittedBall {
         start: &PictureStart,
         place: &Place,
     ) -> Option<FittedCentre> {
-        let mut picture = Picture::new(patch, start, &self.edge)?;
-        let hidden = self.hidden(&picture, place);
-        if !hidden.is_empty() {
-            picture.begin_at(place.centre_px, place.level);
-            picture = picture.without(&hidden, (&self.shared, &self.edge))?;
-        }
-        self.centre(&mut picture)
+        let picture = Picture::new(patch, start, &self.edge)?;
+        let mut shown = picture.shown(place.centre_px, place.level, (&self.shared, &self.edge))?;
+        self.centre(&mut shown)
     }
 
     /// Adds the ball to its track in frames that the track lacks, in gaps and beyond both ends as far as it is found; gives

@@ -111,9 +111,6 @@ impl SecondLook {
         {
             let refinement = refined.refinement;
             let points = ball.track.points.len();
-            if let Some(polished) = polish(&ball.track, REFINED_FLOOR_PX) {
-                ball.track = polished;
-            }
             self.judge(&mut ball, refinement);
             let may_be_pitch = ball.kind == TrackKind::Pitch;
             // What is no ball teaches the wrong blur: a leg or a wing has no edge of a disc.
@@ -122,9 +119,6 @@ impl SecondLook {
             }
             let regained = may_be_pitch.then(|| refined.ball.regain(cut_outs, &mut ball.track));
             if regained.is_some_and(|count| count > 0) {
-                if let Some(polished) = polish(&ball.track, REFINED_FLOOR_PX) {
-                    ball.track = polished;
-                }
                 self.judge(&mut ball, refinement);
             }
             tracing::debug!(camera = %ball.track.camera, points, ?regained, ?refinement, "refined");
@@ -138,8 +132,11 @@ impl SecondLook {
         (ball, step, learnt)
     }
 
-    /// Measures a refined ball and tells what it is.
+    /// Trims what shows not to be free flight from a refined ball, and tells what is left.
     fn judge(&self, ball: &mut TrackedBall, refinement: Refinement) {
+        if let Some(polished) = polish(&ball.track, REFINED_FLOOR_PX) {
+            ball.track = polished;
+        }
         if let Some(shape) = TrackShape::measure(&ball.track, refinement.radius_px) {
             ball.shape = shape;
             ball.kind = shape.kind(&self.tracker_config);

@@ -149,6 +149,11 @@ impl TrackShape {
         (self.radius_px.max(0.1) / other.radius_px.max(0.1)).ln().abs()
     }
 
+    /// Whether two fly the same way and are about the same size.
+    fn is_like(&self, other: &Self) -> bool {
+        self.flies_like(other) && self.size_log(other) < SAME_SIZE_LOG
+    }
+
     /// What it says of how pitches go. As many balls are thrown back as are pitched, and along longer paths, so speed
     /// tells: it counts by its cube; and many more birds than balls may pass, but few of them straight for several metres.
     pub fn say(&self) -> f64 {
@@ -229,17 +234,13 @@ fn peak_speed(samples: &[Sample]) -> f64 {
 /// same way at about the same size. `false`: a throw back, a pick-off, or something else that is smooth.
 pub fn vote(shapes: &[TrackShape]) -> Vec<bool> {
     let support = |a: &TrackShape| -> f64 {
-        let friends = shapes
-            .iter()
-            .filter(|b| a.flies_like(b) && a.size_log(b) < SAME_SIZE_LOG);
+        let friends = shapes.iter().filter(|b| a.is_like(b));
         friends.map(TrackShape::say).sum()
     };
     let Some(leader) = shapes.iter().max_by(|a, b| support(a).total_cmp(&support(b))) else {
         return Vec::new();
     };
-    let friends = shapes
-        .iter()
-        .filter(|s| leader.flies_like(s) && leader.size_log(s) < SAME_SIZE_LOG);
+    let friends = shapes.iter().filter(|s| leader.is_like(s));
     let (typical, known) = match typical(friends.collect()) {
         Some(typical) => (typical, KNOWN_SIZE_LOG),
         None => (leader, SAME_SIZE_LOG),

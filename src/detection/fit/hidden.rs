@@ -19,61 +19,40 @@ const MARGIN_PX: f64 = 1.5;
 const SHOWN_MIN: usize = 10;
 
 impl Picture {
-    /// Places of the pixels in which a ball of this level at this place is hidden; empty where it is not.
-    pub fn hidden(
-        &self,
+    /// The picture without the pixels in which a ball of this level at this place is hidden, and their neighbours, to be
+    /// fitted from there; as it is where nothing is hidden, `None` where too little of the ball is left.
+    pub fn shown(
+        mut self,
         centre_px: Vector2<f64>,
         level: f64,
         (shared, edge): (&Shared, &Edge),
-    ) -> Vec<Vector2<f64>> {
+    ) -> Option<Self> {
         let own = Vector3::new(centre_px.x, centre_px.y, level);
         let parameters = shared.fill((self.place, &self.turn), &own);
-        let look = Look::new(
-            &parameters,
-            (&self.sweep, edge),
-            (self.model_variance, HUBER_SIGMAS),
-        );
-        let modelled = self.pixels.modelled(&look).into_iter();
-        let hidden = modelled.filter(|(pixel, value, coverage)| {
+        let noise = (self.model_variance, HUBER_SIGMAS);
+        let look = Look::new(&parameters, (&self.sweep, edge), noise);
+        let mut modelled = self.pixels.modelled(&look);
+        let hidden = modelled.iter().filter(|(pixel, value, coverage)| {
             let lift = value - pixel.background;
             let sigma = (pixel.variance + self.model_variance).sqrt();
             *coverage > COVERAGE_MIN
                 && lift.abs() > SIGMAS_MIN * sigma
                 && (pixel.value - pixel.background).abs() < SHARE_MAX * lift.abs()
         });
-        let places: Vec<_> = hidden.map(|(pixel, ..)| pixel.at).collect();
-        if places.len() < PIXELS_MIN {
-            Vec::new()
-        } else {
-            places
+        let hidden: Vec<_> = hidden.map(|(pixel, ..)| pixel.at).collect();
+        if hidden.len() < PIXELS_MIN {
+            return Some(self);
         }
-    }
-
-    /// The picture without these pixels and their neighbours; `None` where too little of the ball is left.
-    pub fn without(&self, hidden: &[Vector2<f64>], (shared, edge): (&Shared, &Edge)) -> Option<Self> {
-        let parameters = shared.fill((self.place, &self.turn), &self.own);
-        let look = Look::new(
-            &parameters,
-            (&self.sweep, edge),
-            (self.model_variance, HUBER_SIGMAS),
-        );
-        let mut modelled = self.pixels.modelled(&look);
         modelled.retain(|(pixel, ..)| hidden.iter().all(|h| (h - pixel.at).norm() > MARGIN_PX));
-        let shown = modelled
+        let covered = modelled
             .iter()
             .filter(|(_, _, coverage)| *coverage > COVERAGE_MIN);
-        if shown.count() < SHOWN_MIN {
+        if covered.count() < SHOWN_MIN {
             return None;
         }
         let pixels: Vec<_> = modelled.into_iter().map(|(pixel, ..)| pixel).collect();
-        Some(Self {
-            pixels: PixelLanes::new(&pixels),
-            ..self.clone()
-        })
-    }
-
-    /// Where the fit of the centre begins.
-    pub fn begin_at(&mut self, centre_px: Vector2<f64>, level: f64) {
-        self.own = Vector3::new(centre_px.x, centre_px.y, level);
+        self.pixels = PixelLanes::new(&pixels);
+        self.own = own;
+        Some(self)
     }
 }
