@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::Args;
 
+use super::detecting::DetectingArgs;
 use crate::daemon::outfit::eye_of;
 use crate::evaluation::{DetectionScore, read_centres, score_tracks, truth_of};
 use crate::eye::CameraEye;
@@ -16,6 +17,7 @@ const AFTER_HELP: &str = "\
 Examples:
   pitchd evaluate detection /tmp/hard/result /tmp/hard/truth
   pitchd evaluate detection --scenario config/scenario/hard.toml --pictures /tmp/misses
+  pitchd evaluate detection --scenario config/scenario/hard.toml --detector kim2019
   pitchd evaluate detection --scenario config/scenario/idle.toml --out /tmp/idle
 
 RESULT is an output folder of `replay` (its tracks/ are scored) or a folder of track files; TRUTH holds \
@@ -52,6 +54,8 @@ pub struct EvaluateDetectionArgs {
     /// Write rig.toml, tracks/ and truth/ into this folder.
     #[arg(long, requires = "scenario", value_name = "DIR")]
     pub out: Option<PathBuf>,
+    #[command(flatten)]
+    detecting: DetectingArgs,
     /// Print the scores as JSON.
     #[arg(long)]
     pub json: bool,
@@ -64,6 +68,9 @@ pub struct EvaluateDetectionArgs {
 pub fn run(args: &EvaluateDetectionArgs) -> anyhow::Result<()> {
     let scores = match (&args.scenario, &args.result, &args.truth) {
         (Some(scenario), _, _) => of_scenario(args, scenario)?,
+        (None, ..) if args.detecting.detector.is_some() => {
+            anyhow::bail!("--detector: RESULT has been searched already; with --scenario frames are")
+        }
         (None, Some(result), Some(truth)) => of_files(args, result, truth)?,
         _ => anyhow::bail!("needs RESULT and TRUTH, or --scenario"),
     };
@@ -138,7 +145,7 @@ fn of_scenario(args: &EvaluateDetectionArgs, path: &Path) -> anyhow::Result<Vec<
             renderer.mark_hidden(&mut centres.centres);
             truth_of(centres)
         });
-        let config = eye_of(&simulated.rig, &camera.id, None);
+        let config = args.detecting.of(eye_of(&simulated.rig, &camera.id, None));
         let mut eye = CameraEye::new(camera.id.clone(), config, camera.width_px, camera.height_px);
         for frame in renderer.frames() {
             eye.push(&frame)?;

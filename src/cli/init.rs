@@ -92,6 +92,7 @@ rig = \"rig.toml\"
 results = \"/var/lib/pitchd/results\"
 # calibration = \"calibration.json\"   # to begin with; otherwise the first pitches calibrate
 # in_flight = false                    # no estimates while a ball flies
+# detector = \"kim2019\"               # peaks of the difference image, as in the paper, to compare with
 
 [calibrate]
 first_pitches = 4      # before the first calibration

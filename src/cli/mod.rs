@@ -7,6 +7,7 @@ pub mod log_queue;
 mod cameras;
 mod check;
 mod check_cameras;
+mod detecting;
 mod emulate;
 mod evaluate;
 mod evaluate_bound;

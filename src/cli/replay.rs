@@ -7,6 +7,7 @@ use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 
+use super::detecting::DetectingArgs;
 use super::solving::SolvingArgs;
 use crate::capture::{FrameSource, RecordingSource};
 use crate::config::{load_rig, parse_rig};
@@ -35,6 +36,8 @@ pub struct ReplayArgs {
     /// How fast: max, real, or a factor such as 4x.
     #[arg(long, default_value = "max", value_parser = PaceArg::from_str)]
     pub pace: PaceArg,
+    #[command(flatten)]
+    detecting: DetectingArgs,
     #[command(flatten)]
     solving: SolvingArgs,
 }
@@ -68,7 +71,7 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     let progress = bar(sources.iter().map(|s| s.frames_expected()).sum());
     let PaceArg(pace) = args.pace;
     let known = args.solving.calibration()?;
-    let eye = |camera: &CameraId| eye_of(&rig, camera, known.as_ref());
+    let eye = |camera: &CameraId| args.detecting.of(eye_of(&rig, camera, known.as_ref()));
     let watched = watch_all(sources, &eye, pace, &|| progress.inc(1));
     progress.finish_and_clear();
 

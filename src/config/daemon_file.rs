@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::{ConfigError, line_of};
-use crate::scene::{CameraId, FeatureValue, PixelFormat};
+use crate::scene::{CameraId, DetectorKind, FeatureValue, PixelFormat};
 
 /// One camera's connection.
 #[derive(Debug, Clone, PartialEq)]
@@ -92,6 +92,8 @@ pub struct DaemonConfig {
     pub recalibrate_every: usize,
     /// Whether estimates of balls in flight are published.
     pub in_flight: bool,
+    /// How balls are found in frames.
+    pub detector: DetectorKind,
     /// What is recorded.
     pub record: RecordConfig,
     /// Cameras, at least one, ids and addresses unique.
@@ -106,6 +108,7 @@ impl DaemonConfig {
             ("rig", self.rig != running.rig),
             ("results", self.results != running.results),
             ("in_flight", self.in_flight != running.in_flight),
+            ("detector", self.detector != running.detector),
             ("[[camera]]", self.cameras != running.cameras),
             ("record.mode", new.mode != old.mode),
             ("record.folder", new.folder != old.folder),
@@ -163,6 +166,7 @@ struct DaemonFile {
     results: String,
     #[serde(default = "default_in_flight")]
     in_flight: bool,
+    detector: Option<toml::Spanned<String>>,
     #[serde(default)]
     calibrate: CalibrateFile,
     #[serde(default)]
@@ -253,6 +257,18 @@ enum UsbTransfers {
     Async,
 }
 
+/// The detector asked for; where it is and why it cannot be.
+fn detector_of(file: &DaemonFile) -> Result<DetectorKind, (usize, String)> {
+    let Some(name) = &file.detector else {
+        return Ok(DetectorKind::default());
+    };
+    DetectorKind::of_name(name.get_ref()).ok_or_else(|| {
+        let known = DetectorKind::ALL.map(DetectorKind::name).join(", ");
+        let why = format!("detector: unknown value `{}`; known: {known}", name.get_ref());
+        (name.span().start, why)
+    })
+}
+
 /// The pixel format asked for; where it is and why it cannot be. The nearest name may not be the nearest format: all of
 /// them are told.
 fn pixel_format_of(camera: &CameraFile) -> Result<PixelFormat, (usize, String)> {
@@ -306,14 +322,15 @@ pub fn load_daemon(path: &Path) -> Result<DaemonConfig, ConfigError> {
 pub fn parse_daemon(path: &Path, text: &str) -> Result<DaemonConfig, ConfigError> {
     let file: DaemonFile = toml::from_str(text).map_err(|e| ConfigError::from_toml(path, text, &e))?;
     let beside = |name: &str| path.parent().unwrap_or(Path::new(".")).join(name);
+    let invalid = |offset: usize, reason: String| ConfigError::Invalid {
+        path: path.to_owned(),
+        line: line_of(text, offset),
+        reason,
+    };
+    let detector = detector_of(&file).map_err(|(at, reason)| invalid(at, reason))?;
     let mut cameras: Vec<CameraConnection> = Vec::with_capacity(file.camera.len());
     for camera in &file.camera {
         let at = camera.id.span().start;
-        let invalid = |offset: usize, reason: String| ConfigError::Invalid {
-            path: path.to_owned(),
-            line: line_of(text, offset),
-            reason,
-        };
         let id = CameraId::new(camera.id.get_ref()).map_err(|e| invalid(at, e.to_string()))?;
         if cameras.iter().any(|c| c.id == id) {
             return Err(invalid(at, format!("camera `{id}` is there twice")));
@@ -378,6 +395,7 @@ pub fn parse_daemon(path: &Path, text: &str) -> Result<DaemonConfig, ConfigError
         calibration: file.calibration.as_deref().map(beside),
         results: beside(&file.results),
         in_flight: file.in_flight,
+        detector,
         first_pitches: calibrate.first_pitches.max(1),
         window_pitches: calibrate.window_pitches.max(calibrate.first_pitches.max(1)),
         recalibrate_every: calibrate.every_pitches.max(1),

@@ -51,6 +51,22 @@ fn how_pixels_are_sent_is_a_choice() {
 }
 
 #[test]
+fn how_balls_are_found_is_a_choice() {
+    let path = Path::new("/etc/pitchd/pitchd.toml");
+    let with = |detector: &str| parse_daemon(path, &format!("detector = \"{detector}\"\n{GOOD}"));
+    let running = parse_daemon(path, GOOD).unwrap();
+    assert_eq!(running.detector, DetectorKind::Ball);
+    for known in DetectorKind::ALL {
+        assert_eq!(with(known.name()).unwrap().detector, known);
+    }
+    assert_eq!(with("kim2019").unwrap().needs_restart(&running), ["detector"]);
+    assert_eq!(
+        with("peak").unwrap_err().to_string(),
+        "/etc/pitchd/pitchd.toml:1: detector: unknown value `peak`; known: ball, kim2019"
+    );
+}
+
+#[test]
 fn features_keep_their_order_and_say_what_is_wrong() {
     let path = Path::new("/etc/pitchd/pitchd.toml");
     let with = |features: &str| parse_daemon(path, &format!("{GOOD}features = {features}\n"));

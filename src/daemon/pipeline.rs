@@ -157,7 +157,8 @@ pub fn start(
         captures.push(((name, below(priority, Urgency::Capture)), supervisor));
         let (look_in, look) = bounded(LOOK_QUEUE);
         let (steps_in, steps) = bounded(4);
-        let eye = outfit::eye_of(&rig, &connection.id, calibration.as_ref());
+        let mut eye = outfit::eye_of(&rig, &connection.id, calibration.as_ref());
+        eye.detector.kind = config.detector;
         trackers.insert(connection.id.clone(), eye.tracker.clone());
         let channels = EyeChannels {
             look: look_in,

@@ -1,11 +1,13 @@
 //! Settings of one camera's detector.
 
 use crate::geometry::Intrinsics;
-use crate::scene::PixelRect;
+use crate::scene::{DetectorKind, PixelRect};
 
 /// Settings of one camera's detector.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DetectorConfig {
+    /// How balls are found.
+    pub kind: DetectorKind,
     /// Exposure time in seconds; without it the blur streak is measured.
     pub exposure_s: Option<f64>,
     /// The lens: away from its axis the ball's picture is an ellipse. Without it a circle is taken.
@@ -38,6 +40,7 @@ pub struct DetectorConfig {
 impl Default for DetectorConfig {
     fn default() -> Self {
         Self {
+            kind: DetectorKind::Ball,
             exposure_s: None,
             lens: None,
             lag_frames: 6,

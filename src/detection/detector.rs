@@ -5,19 +5,17 @@ use super::bodies::Bodies;
 use super::candidates::{apart, candidate, look_at, small_ball};
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
-use super::error::DetectionError;
+use super::error::{DetectionError, check_size};
 use super::history::{History, Triple};
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::movers::MoverSearch;
 use super::packed::UnpackedFrames;
 use super::patches::PatchPool;
-use super::regions::{REGION_TILES, RegionNoise};
+use super::scan::Scan;
 use super::tiles::TileMap;
 use crate::geometry::Pixel;
 use crate::scene::{Detection, Frame, FrameStamp, Track};
 
-/// One row of every so many bands tells the noise, others in every frame.
-const LEARN_EVERY_BANDS: usize = 16;
 /// A blob of fewer pixels is noise.
 const AREA_MIN_PX: usize = 4;
 
@@ -94,13 +92,10 @@ pub struct Detector {
     pub(super) kernels: Kernels,
     pub(super) history: History,
     pub(super) unpacked: UnpackedFrames,
-    noise: RegionNoise,
+    scan: Scan,
     lag: usize,
     next_lag: usize,
     next_answer: usize,
-    /// All zero between two bands.
-    column_changes: Vec<u8>,
-    tile_hits: Vec<bool>,
     tiles: TileMap,
     blobs: BlobFinder,
     bodies: Bodies,
@@ -126,14 +121,12 @@ impl Detector {
             width_px: width,
             height_px: height,
             kernels: Kernels::new(isa),
-            noise: RegionNoise::new(&config, width, height),
+            scan: Scan::new(&config, (width, height), isa),
             unpacked: UnpackedFrames::default(),
             history: History::new(3 * lag_max + 2, width, height),
             lag: config.lag_frames.max(1),
             next_lag: config.lag_frames.max(1),
             next_answer: 0,
-            column_changes: vec![0; width],
-            tile_hits: vec![false; width.div_ceil(TILE_WIDTH_PX)],
             tiles: TileMap::new(width, height),
             blobs: BlobFinder::new(width, Kernels::new(isa)),
             bodies: Bodies::new(width, height),
@@ -160,7 +153,7 @@ impl Detector {
     /// Takes the next frame; `answers` is told of every frame that is now decided, in order, with its
     /// candidates (strongest first, possibly none).
     pub fn detect(&mut self, frame: &Frame, answers: &mut dyn Answers) -> Result<(), DetectionError> {
-        self.check_size(frame)?;
+        check_size(frame, (self.width_px, self.height_px))?;
         self.begin(frame.stamp, answers);
         let mut changed = self.history.spare_map(self.width_px, self.height_px);
         let previous = self.history.newest().map(|seen| seen.frame.clone());
@@ -233,34 +226,6 @@ impl Detector {
         self.next_lag = (frames as usize).clamp(1, self.config.lag_frames_max.max(1));
     }
 
-    fn check_size(&self, frame: &Frame) -> Result<(), DetectionError> {
-        let bytes = frame.bytes().len();
-        let fits = frame.width_px as usize == self.width_px
-            && frame.height_px as usize == self.height_px
-            && bytes == self.width_px * self.height_px
-            && bytes > 0;
-        if fits {
-            return Ok(());
-        }
-        Err(self.wrong_size(frame.stamp, (frame.width_px, frame.height_px), bytes))
-    }
-
-    pub(super) fn wrong_size(
-        &self,
-        stamp: FrameStamp,
-        (width_px, height_px): (u32, u32),
-        bytes: usize,
-    ) -> DetectionError {
-        DetectionError::FrameSize {
-            frame: stamp.frame,
-            width_px,
-            height_px,
-            bytes,
-            expected_width_px: self.width_px as u32,
-            expected_height_px: self.height_px as u32,
-        }
-    }
-
     /// A band of the frame and of the one before, read once: tiles that changed, and the noise of every region.
     pub(super) fn scan_band(
         &mut self,
@@ -268,30 +233,8 @@ impl Detector {
         (current, before): (&[u8], &[u8]),
         changed: &mut TileMap,
     ) {
-        let thresholds = self.noise.band_thresholds(band);
-        let (most, hits) = (&mut self.column_changes, &mut self.tile_hits);
-        if self
-            .kernels
-            .changed_tiles((current, before), self.width_px, thresholds, most, hits)
-        {
-            let tiles = self.tile_hits.iter().enumerate();
-            for (column, _) in tiles.filter(|(_, hit)| **hit) {
-                changed.set(band, column);
-            }
-        }
-        if !(band + self.counters.frames as usize).is_multiple_of(LEARN_EVERY_BANDS) {
-            return;
-        }
-        let region_width = TILE_WIDTH_PX * REGION_TILES;
-        let mut rows = current.chunks(self.width_px).zip(before.chunks(self.width_px));
-        if let Some((c, p)) = rows.next_back() {
-            for (region, (c, p)) in c.chunks(region_width).zip(p.chunks(region_width)).enumerate() {
-                let sum = self
-                    .kernels
-                    .clipped_change_sum(c, p, self.noise.clip(band, region));
-                self.noise.learn(band, region, sum as f32 / c.len() as f32);
-            }
-        }
+        self.scan
+            .band(band, self.counters.frames, (current, before), changed);
     }
 
     /// Decides the next frame.
@@ -360,7 +303,7 @@ impl Detector {
 
     /// The blobs that stand out, strongest first.
     fn find_blobs(&mut self, images: &Images<'_>) {
-        self.blobs.find(images, &self.tiles, &self.noise);
+        self.blobs.find(images, &self.tiles, &self.scan.noise);
         self.counters.overflows += u64::from(self.blobs.overflowed);
         let sigmas = self.config.threshold_sigmas;
         let blobs = &mut self.blobs.blobs;
@@ -379,7 +322,7 @@ impl Detector {
         self.bodies.find(&mut self.tiles, self.height_px);
         for body in &self.bodies.large {
             let (band, column) = body.middle();
-            let sigma = self.noise.difference_sigma(band, column);
+            let sigma = self.scan.noise.difference_sigma(band, column);
             let limits = spot_limits(&self.config, self.lag, sigma);
             let tiles = self.bodies.tiles(body);
             for (moments, spot) in self.movers.find_in_front(near, tiles, limits, sigma) {
@@ -435,7 +378,7 @@ impl Detector {
             if distinct > EXPECTED_MAX {
                 break;
             }
-            let sigma = self.noise.difference_sigma(
+            let sigma = self.scan.noise.difference_sigma(
                 expected.centre.y.max(0.0) as usize / TILE_HEIGHT_PX,
                 expected.centre.x.max(0.0) as usize / TILE_WIDTH_PX,
             );

@@ -7,7 +7,7 @@
 //!
 //! The scan reads two frames once ([`kernel`]); everything later touches only tiles that changed both
 //! before and after the frame in question, so a ball is free of its own ghosts and the answer comes
-//! `lag_frames` late. Thresholds follow the noise of each region ([`regions`]).
+//! `lag_frames` late. Thresholds follow the noise of each region ([`regions`]). [`PeakDetector`] is the paper's, to compare with.
 
 #[cfg(test)]
 mod adaptation_tests;
@@ -17,6 +17,7 @@ mod blur;
 mod bodies;
 mod candidates;
 mod centroid;
+mod choice;
 mod config;
 mod detector;
 mod disc;
@@ -34,19 +35,23 @@ mod packing;
 pub(crate) mod painter;
 mod patches;
 mod path;
+mod peak;
 mod refine;
 mod regain;
 mod regions;
 mod running;
+mod scan;
 mod tiles;
 mod view;
 
 pub use blur::BlurCosts;
+pub use choice::ChosenDetector;
 pub use config::DetectorConfig;
 pub use detector::{Answers, Detector, DetectorCounters, ExpectedBall};
 pub use dispatch::{Isa, Kernels};
 pub use error::DetectionError;
 pub use packed::UnpackedFrames;
 pub use patches::PatchPool as CutOuts;
+pub use peak::PeakDetector;
 pub use refine::{Refined, Refinement, Refiner};
 pub use regain::FittedBall;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::detector::{Answers, Detector};
 use super::dispatch::{Isa, Kernels};
-use super::error::DetectionError;
+use super::error::{DetectionError, wrong_size_of_raw};
 use super::kernel::TILE_HEIGHT_PX;
 use crate::scene::{Frame, RawFrame};
 
@@ -65,8 +65,7 @@ impl Detector {
         let pixels = self.width_px * self.height_px;
         let fits = raw.width_px as usize == self.width_px && raw.height_px as usize == self.height_px;
         if !fits || pixels == 0 || raw.bytes().len() < raw.format.bytes(pixels) {
-            let size_px = (raw.width_px, raw.height_px);
-            return Err(self.wrong_size(raw.stamp, size_px, raw.bytes().len()));
+            return Err(wrong_size_of_raw(raw, (self.width_px, self.height_px)));
         }
         self.begin(raw.stamp, answers);
         let mut changed = self.history.spare_map(self.width_px, self.height_px);

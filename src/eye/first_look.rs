@@ -3,7 +3,7 @@
 use nalgebra::Vector2;
 
 use super::EyeConfig;
-use crate::detection::{Answers, CutOuts, DetectionError, Detector, DetectorCounters, ExpectedBall};
+use crate::detection::{Answers, ChosenDetector, CutOuts, DetectionError, DetectorCounters, ExpectedBall};
 use crate::scene::{CameraId, Detection, Frame, FrameStamp, RawFrame};
 use crate::tracking::{OpenPath, TrackKind, TrackedBall, Tracker, TrackerCounters};
 
@@ -47,7 +47,7 @@ pub struct BallStep {
 /// Detector and tracker of one camera.
 pub struct FirstLook {
     camera: CameraId,
-    detector: Detector,
+    detector: ChosenDetector,
     tracker: Tracker,
     /// See [`BallStep::off_light_px`].
     off_light_px: Vector2<f64>,
@@ -88,7 +88,7 @@ impl FirstLook {
     /// For frames of this size.
     pub fn new(camera: CameraId, config: &EyeConfig, width_px: u32, height_px: u32) -> Self {
         Self {
-            detector: Detector::new(config.detector.clone(), width_px, height_px),
+            detector: ChosenDetector::new(&config.detector, width_px, height_px),
             tracker: Tracker::new(camera.clone(), config.tracker.clone()),
             camera,
             off_light_px: Vector2::zeros(),

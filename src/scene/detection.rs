@@ -5,6 +5,34 @@ use nalgebra::Matrix2;
 use crate::geometry::Pixel;
 use crate::time::StampedMidpoint;
 
+/// How balls are found in frames.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum DetectorKind {
+    /// All candidates; once tracked, each centre fitted with the ball's shape and light.
+    #[default]
+    Ball,
+    /// The paper's: the peak of the difference image, one a frame.
+    Kim2019,
+}
+
+impl DetectorKind {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Ball, Self::Kim2019];
+
+    /// Its name on the command line and in configuration files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ball => "ball",
+            Self::Kim2019 => "kim2019",
+        }
+    }
+
+    /// The one of this name.
+    pub fn of_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+}
+
 /// One ball candidate of one frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Detection {

@@ -19,7 +19,7 @@ pub use calibration::{
     Calibration, CalibrationMethod, CameraCalibration, CostStep, Parameter, ParameterKind, WorldFrame,
 };
 pub use camera::{CameraId, CameraIdError};
-pub use detection::Detection;
+pub use detection::{Detection, DetectorKind};
 pub use feature::FeatureValue;
 pub use field::{FieldPreset, UnknownLandmark};
 pub use frame::{Frame, FrameStamp, RawFrame};
