@@ -13,7 +13,7 @@ pub struct DetectorConfig {
     /// The lens: away from its axis the ball's picture is an ellipse. Without it a circle is taken.
     pub lens: Option<Intrinsics>,
     /// Frames before and after that show the background behind a ball; the answer comes this much later.
-    /// Adapted by [`super::Detector::adapt_lag`] within 1..=`lag_frames_max`.
+    /// Adapted by [`super::Detector::adapt_lag`] within 1..=`lag_frames_max`, without a pause.
     pub lag_frames: usize,
     /// Largest lag that adaptation may choose.
     pub lag_frames_max: usize,

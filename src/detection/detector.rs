@@ -56,6 +56,11 @@ pub trait Answers {
     fn expect(&mut self, _stamp: FrameStamp, _expected: &mut Vec<ExpectedBall>) {}
     /// The candidates of a frame, strongest first.
     fn answer(&mut self, stamp: FrameStamp, detections: &[Detection]);
+    /// Whether nothing in the frame last answered, which has these candidates, is being followed: what it was compared
+    /// with may change.
+    fn is_quiet(&self, detections: &[Detection]) -> bool {
+        detections.is_empty()
+    }
 }
 
 /// What the detector has seen and left out.
@@ -73,6 +78,8 @@ pub struct DetectorCounters {
     pub overflows: u64,
     /// Frames without two others to compare with.
     pub unanswered: u64,
+    /// Frames that came between a frame and its answer, summed over all answers.
+    pub waited: u64,
 }
 
 /// Which frames show what is behind a candidate.
@@ -199,9 +206,19 @@ impl Detector {
                 break;
             }
             self.answer_next(false, answers);
+            if self.next_lag != self.lag && answers.is_quiet(&self.detections) {
+                tracing::debug!(
+                    answered = self.next_answer,
+                    from = self.lag,
+                    to = self.next_lag,
+                    "lag"
+                );
+                self.lag = self.next_lag;
+            }
         }
-        self.history
-            .forget_before(self.next_answer.saturating_sub(2 * self.lag));
+        // A longer lag may be asked for any time: what it looks back on is kept.
+        let kept = (2 * self.lag).max(self.config.lag_frames_max);
+        self.history.forget_before(self.next_answer.saturating_sub(kept));
     }
 
     /// Ends the window: decides the frames still open.
@@ -220,7 +237,8 @@ impl Detector {
     }
 
     /// Chooses the lag for a ball that moves at least this far between frames and covers this length along its
-    /// motion, pixels: far enough that it does not overlap itself. Takes effect with the next window.
+    /// motion, pixels: far enough that it does not overlap itself. Takes effect at the first quiet frame
+    /// ([`Answers::is_quiet`]): a shorter lag then answers some frames at once, a longer one waits.
     pub fn adapt_lag(&mut self, step_px: f64, length_px: f64) {
         let frames = ((length_px + 3.0) / step_px.max(0.1)).ceil();
         self.next_lag = (frames as usize).clamp(1, self.config.lag_frames_max.max(1));
@@ -246,6 +264,7 @@ impl Detector {
         // Out of `self` for now: the images borrow from it while the rest of `self` works.
         let history = std::mem::take(&mut self.history);
         if let Some(triple) = history.triple(index, self.lag, ended) {
+            self.counters.waited += (history.count() - 1 - index) as u64;
             let near = history.near(index, near_step(self.lag));
             self.answer(&triple, near, answers);
         } else {

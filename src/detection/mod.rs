@@ -27,6 +27,8 @@ mod fit;
 mod fronts;
 mod history;
 mod kernel;
+#[cfg(test)]
+mod lag_tests;
 mod lanes;
 mod movers;
 mod packed;

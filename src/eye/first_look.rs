@@ -82,6 +82,10 @@ impl Answers for Guided<'_> {
         }
         self.0.push(stamp, detections);
     }
+
+    fn is_quiet(&self, _detections: &[Detection]) -> bool {
+        !self.0.follows()
+    }
 }
 
 impl FirstLook {
@@ -185,7 +189,7 @@ impl FirstLook {
         !open.is_empty() || self.tracker.holds_back()
     }
 
-    /// Takes what a second look has found of this camera's balls; it holds from the next window on.
+    /// Takes what a second look has found of this camera's balls; it holds from where nothing is being followed.
     pub fn adapt(&mut self, ball: BallStep) {
         self.off_light_px = ball.off_light_px;
         self.detector.adapt_lag(ball.step_px, ball.length_px);

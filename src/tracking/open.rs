@@ -84,7 +84,7 @@ pub fn open_paths(alive: &[Hypothesis], config: &TrackerConfig) -> Vec<OpenPath>
 }
 
 /// Whether these points go as fast as a pitch's.
-fn is_fast(points: &[Point], config: &TrackerConfig) -> bool {
+pub fn is_fast(points: &[Point], config: &TrackerConfig) -> bool {
     let (Some(first), Some(last)) = (points.first(), points.last()) else {
         return false;
     };

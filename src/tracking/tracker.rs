@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use super::config::TrackerConfig;
 use super::ending::conclude;
 use super::hypothesis::{Hypothesis, Match, Pair, Point, in_both};
-use super::open::{OpenPath, open_paths};
+use super::open::{OpenPath, is_fast, open_paths};
 use super::shape::{TrackKind, TrackShape, TrackedBall};
 use crate::geometry::Pixel;
 use crate::scene::{CameraId, Detection, FrameStamp};
@@ -136,6 +136,16 @@ impl Tracker {
     /// The likeliest of the paths being followed.
     pub fn open(&self) -> Vec<OpenPath> {
         open_paths(&self.alive, &self.config)
+    }
+
+    /// Whether what may be a ball is being followed (a grown path that goes fast), or held back because it may go on.
+    pub fn follows(&self) -> bool {
+        let is_ball = |h: &Hypothesis| {
+            let recent = h.points.len().checked_sub(YOUNG.0);
+            let recent = recent.and_then(|from| h.points.get(from..));
+            recent.is_some_and(|points| is_fast(points, &self.config))
+        };
+        self.holds_back() || self.alive.iter().any(is_ball)
     }
 
     /// Whether a path has ended that may go on.
