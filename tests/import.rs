@@ -1,134 +1,15 @@
-//! `pitchd import`, run as a person would: what it makes, and what it says when something is wrong.
+//! `pitchd import`, run as a person would: what it makes of images and videos.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+#[path = "lab/importing.rs"]
+mod importing;
+
 use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::path::Path;
+use std::process::Command;
 
-use pitchd::recording::SessionReader;
-use pitchd::scene::CameraId;
-
-const WIDTH: usize = 64;
-const HEIGHT: usize = 48;
-
-const CAMERA: &str = r#"
-[[camera]]
-id = "ID"
-width_px = 64
-height_px = 48
-frame_rate_hz = 175.0
-[camera.intrinsics]
-fx_px = 50.0
-fy_px = 50.0
-cx_px = 31.5
-cy_px = 23.5
-distortion = [0.0, 0.0, 0.0, 0.0, 0.0]
-"#;
-
-struct Place {
-    folder: tempfile::TempDir,
-}
-
-impl Place {
-    /// A rig of cameras `first` and `third`, each with five PGM frames and their stamps.
-    fn new() -> Self {
-        let place = Self {
-            folder: tempfile::tempdir().unwrap(),
-        };
-        let rig = format!(
-            "[site]\nname = \"x\"\n{}{}",
-            CAMERA.replace("ID", "first"),
-            CAMERA.replace("ID", "third")
-        );
-        fs::write(place.path("rig.toml"), rig).unwrap();
-        for camera in ["first", "third"] {
-            fs::create_dir(place.path(camera)).unwrap();
-            for frame in 0..5 {
-                fs::write(place.frame(camera, frame), pgm(frame, WIDTH, HEIGHT)).unwrap();
-            }
-            place.stamp(camera, &[(0, 100), (1, 200), (2, 300), (3, 400), (4, 500)]);
-        }
-        place
-    }
-    fn path(&self, name: &str) -> PathBuf {
-        self.folder.path().join(name)
-    }
-    fn frame(&self, camera: &str, frame: usize) -> PathBuf {
-        self.path(camera).join(format!("{frame:06}.pgm"))
-    }
-    fn stamp(&self, camera: &str, rows: &[(u64, i64)]) {
-        let rows: String = rows.iter().map(|(f, t)| format!("{f},{t}\n")).collect();
-        fs::write(
-            self.path(camera).join("timestamps.csv"),
-            format!("frame,timestamp_ns\n{rows}"),
-        )
-        .unwrap();
-    }
-    fn import_with(&self, arguments: &[&str]) -> Output {
-        Command::new(env!("CARGO_BIN_EXE_pitchd"))
-            .current_dir(self.folder.path())
-            .args(["import", "out", "--rig", "rig.toml"])
-            .args(arguments)
-            .output()
-            .unwrap()
-    }
-    fn import(&self) -> Output {
-        self.import_with(&["--camera", "first=first", "--camera", "third=third"])
-    }
-    fn session(&self) -> SessionReader {
-        SessionReader::open(&self.path("out")).unwrap()
-    }
-    /// The import fails with exit code 1 and one line that ends so.
-    #[track_caller]
-    fn fails(&self, ending: &str) {
-        assert_fails(&self.import(), ending);
-    }
-}
-
-#[track_caller]
-fn assert_fails(output: &Output, ending: &str) {
-    let text = String::from_utf8_lossy(&output.stderr);
-    let errors: Vec<&str> = text.lines().filter(|l| !l.contains("warning:")).collect();
-    assert_eq!(output.status.code(), Some(1), "{text}");
-    assert_eq!(errors.len(), 1, "{text}");
-    assert!(errors[0].ends_with(ending), "{text}");
-}
-
-fn pixels(salt: usize, width: usize, height: usize) -> Vec<u8> {
-    (0..width * height)
-        .map(|i| (i * 7 + salt * 31 + i / width) as u8)
-        .collect()
-}
-
-fn pgm(salt: usize, width: usize, height: usize) -> Vec<u8> {
-    let mut bytes = format!("P5\n# made here\n{width} {height}\n255\n").into_bytes();
-    bytes.extend(pixels(salt, width, height));
-    bytes
-}
-
-/// Numbers, stamps and pixels of a camera's frames.
-fn frames(session: &SessionReader, camera: &str) -> Vec<(u64, i64, Vec<u8>)> {
-    let frames = session.frames(&CameraId::new(camera).unwrap()).unwrap();
-    frames
-        .map(|r| {
-            (
-                r.frame.stamp.frame,
-                r.frame.stamp.stamped.nanos(),
-                r.frame.bytes().to_vec(),
-            )
-        })
-        .collect()
-}
-
-#[track_caller]
-fn assert_done(output: &Output) {
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-}
+use importing::{HEIGHT, Place, WIDTH, assert_done, assert_fails, frames, pixels};
 
 #[test]
 fn images_become_a_session() {
@@ -284,6 +165,39 @@ fn other_image_formats_and_colour() {
 }
 
 #[test]
+fn a_maximum_of_the_file_s_own_counts_and_it_is_said() {
+    let place = Place::new();
+    for frame in 0..5 {
+        // 10 bits: 516 is 129 of eight.
+        let mut bytes = format!("P5\n{WIDTH} {HEIGHT}\n1023\n").into_bytes();
+        bytes.extend([2, 4].repeat(WIDTH * HEIGHT));
+        fs::write(place.frame("first", frame), bytes).unwrap();
+    }
+    for (bits, told) in [
+        (
+            "12",
+            "camera first: --bits 12 does not count for first/000000.pgm, whose own maximum has 10 bits",
+        ),
+        ("10", ""),
+    ] {
+        let output = place.import_with(&[
+            "--camera",
+            "first=first",
+            "--camera",
+            "third=third",
+            "--bits",
+            bits,
+        ]);
+        assert_done(&output);
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(text.trim_end().trim_start_matches("pitchd: warning: "), told);
+        assert_eq!(frames(&place.session(), "first")[4].2, vec![129; WIDTH * HEIGHT]);
+        assert_eq!(frames(&place.session(), "third")[4].2, pixels(4, WIDTH, HEIGHT));
+        fs::remove_dir_all(place.path("out")).unwrap();
+    }
+}
+
+#[test]
 fn a_video_becomes_a_camera() {
     use opencv::core::{CV_8UC1, Mat, Scalar, Size};
     use opencv::videoio::{VideoWriter, VideoWriterTrait, VideoWriterTraitConst};
@@ -330,152 +244,6 @@ fn a_video_becomes_a_camera() {
         .map(|(f, t, _)| (f, t))
         .collect();
     assert_eq!(kept, [(10, 5), (11, 6), (12, 7)]);
-}
-
-#[test]
-fn an_empty_folder_is_named() {
-    let place = Place::new();
-    for frame in 0..5 {
-        fs::remove_file(place.frame("third", frame)).unwrap();
-    }
-    place.fails("camera third: third: holds no images (pgm, png, tif, tiff, jpg, jpeg)");
-    fs::remove_dir_all(place.path("third")).unwrap();
-    place.fails("camera third: third: there is no such folder or file");
-    assert!(
-        !place.path("out").exists(),
-        "nothing is begun before everything was looked at"
-    );
-}
-
-#[test]
-fn a_missing_timestamp_is_named() {
-    let place = Place::new();
-    place.stamp("third", &[(0, 1), (1, 2), (2, 3), (4, 5)]);
-    place.fails("camera third: third/timestamps.csv: no timestamp for frame 3 (third/000003.pgm)");
-    fs::remove_file(place.path("third/timestamps.csv")).unwrap();
-    place.fails(
-        "camera third: third/timestamps.csv: there is no such file; give the frame rate with --fps instead",
-    );
-}
-
-#[test]
-fn a_wrong_list_of_timestamps_is_named() {
-    let place = Place::new();
-    let list = place.path("first/timestamps.csv");
-    let cases = [
-        (
-            "frame,timestamp_ns\n0,10\n1,20\n2,20\n3,40\n4,50\n",
-            "timestamps do not rise: frame 2 has 20 ns, frame 1 before it 20 ns",
-        ),
-        (
-            "frame,timestamp_ns\n0,10\n1,20\n1,30\n",
-            "line 4: frame 1 is listed twice",
-        ),
-        (
-            "frame,time\n0,10\n",
-            "line 1: no column \"timestamp_ns\"; the columns are frame,time",
-        ),
-        (
-            "frame,timestamp_ns\n0,1e9\n",
-            "line 2: timestamp_ns \"1e9\" is not a whole number",
-        ),
-        ("frame,timestamp_ns\n-1,5\n", "line 2: frame -1 is negative"),
-        ("frame,timestamp_ns\n", "lists no frame"),
-    ];
-    for (text, told) in cases {
-        fs::write(&list, text).unwrap();
-        place.fails(&format!("camera first: first/timestamps.csv: {told}"));
-    }
-}
-
-#[test]
-fn a_frame_that_is_there_twice_is_named() {
-    let place = Place::new();
-    fs::copy(place.frame("first", 2), place.path("first/2.pgm")).unwrap();
-    place.fails("camera first: frame 2 is there twice: first/000002.pgm and first/2.pgm");
-}
-
-#[test]
-fn a_camera_that_is_not_in_the_rig_is_named() {
-    let place = Place::new();
-    assert_fails(
-        &place.import_with(&["--camera", "frist=first"]),
-        "--camera frist: rig.toml has no such camera; did you mean first?",
-    );
-    assert_fails(
-        &place.import_with(&["--camera", "first=first", "--camera", "first=third"]),
-        "camera first is given twice",
-    );
-}
-
-#[test]
-fn a_frame_of_the_wrong_size_is_named_and_those_before_it_are_kept() {
-    let place = Place::new();
-    fs::write(place.frame("first", 3), pgm(3, WIDTH, HEIGHT - 1)).unwrap();
-    place.fails("camera first: first/000003.pgm: is 64x47 pixels, the rig says 64x48");
-    let session = place.session();
-    assert_eq!(frames(&session, "first").len(), 3);
-    assert_eq!(frames(&session, "third").len(), 5);
-    assert_eq!(session.damage(), []);
-}
-
-#[test]
-fn an_image_that_cannot_be_read_is_named() {
-    let place = Place::new();
-    let file = place.frame("first", 0);
-    let whole = fs::read(&file).unwrap();
-    let cases: [(&[u8], &str); 5] = [
-        (&[], "is empty"),
-        (b"P5 64", "is cut short in its header (width)"),
-        (
-            b"P5 64 48 65535 ",
-            "is cut short: 0 bytes of pixels, 64x48 need 6144",
-        ),
-        (
-            &whole[..1000],
-            "is cut short: 975 bytes of pixels, 64x48 need 3072",
-        ),
-        (b"not an image", "is not a readable image"),
-    ];
-    for (bytes, told) in cases {
-        fs::write(&file, bytes).unwrap();
-        place.fails(&format!("camera first: first/000000.pgm: {told}"));
-    }
-}
-
-#[test]
-fn a_folder_that_is_not_empty_is_kept_unless_forced() {
-    let place = Place::new();
-    assert_done(&place.import());
-    place.fails("out: exists and is not empty; --force replaces a session");
-    let forced = ["--camera", "first=first", "--force"];
-    assert_done(&place.import_with(&forced));
-    assert_eq!(place.session().cameras().count(), 1);
-    fs::write(place.path("out/notes.txt"), "mine").unwrap();
-    assert_fails(
-        &place.import_with(&forced),
-        "out: holds notes.txt, which is no part of a session",
-    );
-    assert_eq!(frames(&place.session(), "first").len(), 5, "nothing was removed");
-}
-
-#[test]
-fn wrong_usage_is_exit_code_2() {
-    let place = Place::new();
-    for arguments in [
-        &["--camera", "first"][..],
-        &["--camera", "a b=first"],
-        &["--camera", "first="],
-        &["--camera", "first=first", "--fps", "-3"],
-        &["--camera", "first=first", "--compres", "png"],
-        &[],
-    ] {
-        assert_eq!(
-            place.import_with(arguments).status.code(),
-            Some(2),
-            "{arguments:?}"
-        );
-    }
 }
 
 /// Runs `pitchd info` or `recover` on the session.

@@ -426,7 +426,14 @@ fn frames_of_the_wrong_size_or_order_are_refused_and_the_rest_goes_on() {
     let error = writer.write(&frame(1, 1, tall)).unwrap_err();
     assert_eq!(
         error.to_string(),
-        "camera a, frame 1: is (64, 50) pixels, expected (64, 48)"
+        "camera a, frame 1: is 64x50 pixels, expected 64x48"
+    );
+    let mut short = frame(1, 1, SMALL);
+    short.frame.pixels = std::sync::Arc::new(vec![0; 100]);
+    let error = writer.write(&short).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "camera a, frame 1: has 100 bytes of pixels, 64x48 need 3072"
     );
     let error = writer.write(&frame(1, 0, SMALL)).unwrap_err();
     assert!(error.to_string().contains("frame 0 (stamp"), "{error}");

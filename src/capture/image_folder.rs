@@ -7,7 +7,7 @@ use std::sync::Arc;
 use super::stamps::{FrameStamps, LIST_NAME, Stamping};
 use super::{CaptureError, FrameGeometry, FrameSource};
 use crate::scene::{CameraId, Frame, FrameStamp};
-use crate::vision::image_files;
+use crate::vision::image_files::{self, Mono8};
 
 /// Images of one camera, one file a frame.
 ///
@@ -27,7 +27,7 @@ pub struct ImageFolder {
 
 impl ImageFolder {
     /// Lists the folder and checks numbers and stamps of all frames and the size of the first. `level_bits`: of images of
-    /// 16 bits, how many count ([`image_files::read_mono8`]).
+    /// 16 bits that do not say it themselves, how many count ([`image_files::read_mono8`]).
     ///
     /// # Errors
     /// Every variant of [`CaptureError`] but [`CaptureError::NoSuchCamera`]; the message names the file.
@@ -65,7 +65,7 @@ impl ImageFolder {
                 list.display()
             ));
         }
-        let source = Self {
+        let mut source = Self {
             camera: camera.clone(),
             geometry,
             level_bits,
@@ -73,8 +73,14 @@ impl ImageFolder {
             frames: frames.into_iter(),
             warnings,
         };
-        if let Some((stamp, file)) = source.frames.as_slice().first() {
-            source.read(*stamp, file)?;
+        if let Some((_, file)) = source.frames.as_slice().first()
+            && let (Some(own), Some(given)) = (source.image(file)?.own_bits, level_bits)
+            && own != given
+        {
+            source.warnings.push(format!(
+                "camera {camera}: --bits {given} does not count for {}, whose own maximum has {own} bits",
+                file.display()
+            ));
         }
         Ok(source)
     }
@@ -84,7 +90,7 @@ impl ImageFolder {
         &self.warnings
     }
 
-    fn read(&self, stamp: FrameStamp, file: &Path) -> Result<Frame, CaptureError> {
+    fn image(&self, file: &Path) -> Result<Mono8, CaptureError> {
         let image = image_files::read_mono8(file, self.level_bits).map_err(|source| CaptureError::Image {
             camera: self.camera.clone(),
             source,
@@ -101,6 +107,11 @@ impl ImageFolder {
                 expected: self.geometry,
             });
         }
+        Ok(image)
+    }
+
+    fn read(&self, stamp: FrameStamp, file: &Path) -> Result<Frame, CaptureError> {
+        let image = self.image(file)?;
         Ok(Frame {
             stamp,
             width_px: image.width_px,

@@ -37,7 +37,7 @@ pub struct ImportArgs {
     /// Frame rate in Hz for cameras without timestamps.csv: a frame's time is its number over the rate.
     #[arg(long, value_name = "HZ", value_parser = rate)]
     fps: Option<f64>,
-    /// Bits of a camera's levels in images of 16 bits (PNG, TIFF, PGM) [default: a PGM's own maximum, below 65535].
+    /// Bits of a camera's levels in images of 16 bits (PNG, TIFF); a PGM whose own maximum is below 65535 says it itself.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(9..=16))]
     bits: Option<u32>,
     /// How pixels are stored; both keep all 8 bits.

@@ -61,7 +61,7 @@ struct Continuous {
 }
 
 /// A session being written.
-struct Open {
+pub(super) struct Open {
     session: SessionWriter,
     /// Each with the number of the frame last written.
     cameras: BTreeMap<CameraId, (CameraWriter, u64)>,
@@ -69,11 +69,12 @@ struct Open {
     unpacked: UnpackedFrames,
     since: Instant,
     frames: u64,
-    bytes: u64,
+    /// Written so far.
+    pub(super) bytes: u64,
 }
 
 impl Open {
-    fn write(&mut self, held: &HeldFrame) -> Result<(), RecordingError> {
+    pub(super) fn write(&mut self, held: &HeldFrame) -> Result<(), RecordingError> {
         let number = held.frame.stamp.frame;
         let (writer, last) = match self.cameras.get_mut(&held.camera) {
             Some(open) => open,
@@ -98,20 +99,21 @@ impl Open {
         let raw = &held.frame;
         // What the detector sees: a replay then does what was done live, and a pixel is one byte.
         let Some(frame) = self.unpacked.image(raw) else {
-            return Err(RecordingError::FrameSize {
+            return Err(RecordingError::FrameBytes {
                 camera: held.camera.clone(),
                 frame: number,
-                got_px: (raw.bytes().len() as u64, 1),
-                expected_px: (raw.width_px, raw.height_px),
+                size_px: (raw.width_px, raw.height_px),
+                bytes: raw.bytes().len(),
+                bytes_needed: raw.format.bytes(raw.width_px as usize * raw.height_px as usize),
             });
         };
-        self.bytes += frame.bytes().len() as u64;
+        let bytes = frame.bytes().len() as u64;
         writer.write(&RecordedFrame {
             frame,
             exposure_s: Some(held.exposure_s),
             flags,
         })?;
-        self.frames += 1;
+        (self.frames, self.bytes) = (self.frames + 1, self.bytes + bytes);
         Ok(())
     }
 
@@ -219,7 +221,7 @@ impl ClipDisk {
         failed(&self.health, error, frames);
     }
 
-    fn open(&self, kind: &str) -> Result<Open, RecordingError> {
+    pub(super) fn open(&self, kind: &str) -> Result<Open, RecordingError> {
         // Room for the session that begins is kept free.
         let quota = self.config.quota_bytes;
         keep_quota(&self.config.folder, quota - quota / QUOTA_PARTS)?;

@@ -93,6 +93,35 @@ fn sessions(folder: &Path) -> Vec<std::path::PathBuf> {
 }
 
 #[test]
+fn bytes_that_do_not_fill_a_frame_are_told_and_not_counted() {
+    let folder = tempfile::tempdir().unwrap();
+    let health = Arc::new(RecorderHealth::default());
+    let disk = disk_thread_of(config(folder.path(), RecordMode::Clips), &health);
+    let mut open = disk.open("pitch").unwrap();
+    let mut write = |k: i64, format: PixelFormat, bytes: usize| {
+        let RecordedLive { camera, frame, .. } = live("first", k);
+        let pixels = Arc::new(vec![7; bytes]);
+        let frame = RawFrame {
+            format,
+            pixels,
+            ..frame
+        };
+        let written = open.write(&HeldFrame::new(camera, frame, 0.001, &health));
+        (written.map_err(|error| error.to_string()), open.bytes)
+    };
+    let counted = BYTES as u64;
+    assert_eq!(write(1, PixelFormat::Mono8, BYTES), (Ok(()), counted));
+    let told = "camera first, frame 2: has 100 bytes of pixels, 64x32 need 3072";
+    assert_eq!(
+        write(2, PixelFormat::Mono12p, 100),
+        (Err(told.to_owned()), counted)
+    );
+    // The disk's own refusal: the stamps do not rise.
+    assert_eq!(write(1, PixelFormat::Mono8, BYTES).1, counted);
+    assert_eq!(write(3, PixelFormat::Mono12p, 3072), (Ok(()), 2 * counted));
+}
+
+#[test]
 fn a_clip_has_every_frame_from_before_release_to_after_the_plate() {
     let folder = tempfile::tempdir().unwrap();
     let config = RecordConfig {

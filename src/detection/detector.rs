@@ -91,6 +91,46 @@ enum Behind {
     Near,
 }
 
+/// A candidate, with what its cut-out is made of.
+struct Found {
+    detection: Detection,
+    blob: Blob,
+    behind: Behind,
+}
+
+/// The candidates of a frame, each with its number as it was found.
+#[derive(Default)]
+struct Finds(Vec<(usize, Found)>);
+
+impl Finds {
+    fn push(&mut self, detection: Detection, blob: Blob, behind: Behind) {
+        let number = self.0.len();
+        self.0.push((
+            number,
+            Found {
+                detection,
+                blob,
+                behind,
+            },
+        ));
+    }
+
+    fn all(&self) -> impl Iterator<Item = &Found> {
+        self.0.iter().map(|(_, found)| found)
+    }
+
+    /// Keeps the strongest, those first; of equal ones the first found. Gives how many went.
+    fn keep_strongest(&mut self, most: usize) -> usize {
+        self.0.sort_unstable_by(|(a, one), (b, other)| {
+            let stronger = other.detection.strength.total_cmp(&one.detection.strength);
+            stronger.then(a.cmp(b))
+        });
+        let extra = self.0.len().saturating_sub(most);
+        self.0.truncate(most);
+        extra
+    }
+}
+
 /// One camera's detector.
 pub struct Detector {
     config: DetectorConfig,
@@ -107,7 +147,7 @@ pub struct Detector {
     blobs: BlobFinder,
     bodies: Bodies,
     movers: MoverSearch,
-    found: Vec<(Detection, Blob, Behind)>,
+    found: Finds,
     expected: Vec<ExpectedBall>,
     detections: Vec<Detection>,
     patches: PatchPool,
@@ -138,7 +178,7 @@ impl Detector {
             blobs: BlobFinder::new(width, Kernels::new(isa)),
             bodies: Bodies::new(width, height),
             movers: MoverSearch::new(Kernels::new(isa)),
-            found: Vec::with_capacity(1024),
+            found: Finds(Vec::with_capacity(1024)),
             expected: Vec::with_capacity(64),
             patches: PatchPool::new(config.patch_bytes),
             detections: Vec::with_capacity(config.candidates_max + 1),
@@ -260,7 +300,7 @@ impl Detector {
         let index = self.next_answer;
         self.next_answer += 1;
         self.detections.clear();
-        self.found.clear();
+        self.found.0.clear();
         // Out of `self` for now: the images borrow from it while the rest of `self` works.
         let history = std::mem::take(&mut self.history);
         if let Some(triple) = history.triple(index, self.lag, ended) {
@@ -305,17 +345,15 @@ impl Detector {
         self.expected.clear();
         answers.expect(stamp, &mut self.expected);
         self.look_where_expected(&images, stamp);
-        self.found.sort_by(|a, b| b.0.strength.total_cmp(&a.0.strength));
-        let extra = self.found.len().saturating_sub(self.config.candidates_max);
+        let extra = self.found.keep_strongest(self.config.candidates_max);
         self.counters.candidates_dropped += extra as u64;
-        self.found.truncate(self.config.candidates_max);
-        for (detection, blob, behind) in &self.found {
+        for found in self.found.all() {
             let behind = near
                 .as_ref()
-                .filter(|_| *behind == Behind::Near)
+                .filter(|_| found.behind == Behind::Near)
                 .unwrap_or(&images);
-            self.patches.keep(behind, blob, detection);
-            self.detections.push(*detection);
+            self.patches.keep(behind, &found.blob, &found.detection);
+            self.detections.push(found.detection);
         }
         answers.answer(stamp, &self.detections);
     }
@@ -345,8 +383,9 @@ impl Detector {
             let limits = spot_limits(&self.config, self.lag, sigma);
             let tiles = self.bodies.tiles(body);
             for (moments, spot) in self.movers.find_in_front(near, tiles, limits, sigma) {
-                let found = candidate(&self.config, stamp, &moments);
-                self.found.extend(found.map(|found| (found, spot, Behind::Near)));
+                if let Some(found) = candidate(&self.config, stamp, &moments) {
+                    self.found.push(found, spot, Behind::Near);
+                }
             }
         }
     }
@@ -360,7 +399,9 @@ impl Detector {
             } else {
                 small_ball(images, blob).and_then(|m| candidate(&self.config, stamp, &m))
             };
-            self.found.extend(whole.map(|found| (found, *blob, Behind::Far)));
+            if let Some(found) = whole {
+                self.found.push(found, *blob, Behind::Far);
+            }
             // Larger than a ball: a player with a ball before him, or a ball that touches something that moves.
             let budget = if blob.side_px() > LARGE_SIDE_PX {
                 &mut large
@@ -378,7 +419,7 @@ impl Detector {
                 if let Some(found) = candidate(&self.config, stamp, &moments)
                     && whole.is_none_or(|whole| apart(&whole, &found))
                 {
-                    self.found.push((found, spot, Behind::Near));
+                    self.found.push(found, spot, Behind::Near);
                 }
             }
         }
@@ -402,9 +443,9 @@ impl Detector {
                 expected.centre.x.max(0.0) as usize / TILE_WIDTH_PX,
             );
             if let Some(found) = look_at(images, expected, sigma, &self.config, stamp)
-                && self.found.iter().all(|(other, ..)| apart(other, &found.0))
+                && self.found.all().all(|other| apart(&other.detection, &found.0))
             {
-                self.found.push((found.0, found.1, Behind::Far));
+                self.found.push(found.0, found.1, Behind::Far);
             }
         }
     }

@@ -32,6 +32,8 @@ const TILES_AHEAD: usize = 4;
 
 /// A spot while it is gathered.
 struct Spot {
+    /// Row and column of its first pixel, which no other spot has.
+    begun: (usize, usize),
     left: usize,
     right: usize,
     top: usize,
@@ -45,6 +47,7 @@ struct Spot {
 impl Spot {
     fn at(x: usize, y: usize) -> Self {
         Self {
+            begun: (y, x),
             left: x,
             right: x,
             top: y,
@@ -208,7 +211,7 @@ impl MoverSearch {
             let side = (spot.right - spot.left).max(spot.bottom - spot.top);
             spot.area_px >= SPOT_AREA_MIN_PX && side <= SPOT_SIDE_MAX_PX
         });
-        spots.sort_by_key(|spot| std::cmp::Reverse(spot.sums.sum));
+        spots.sort_unstable_by_key(|spot| (std::cmp::Reverse(spot.sums.sum), spot.begun));
         spots.iter().take(SPOTS_MAX).filter_map(move |spot| {
             let sums = Sums::of(&spot.sums, 1);
             let moments = sums.moments(Vector2::zeros(), f64::from(sigma))?;

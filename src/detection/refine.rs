@@ -139,7 +139,8 @@ impl Refiner {
             let point = track.points.get(*index)?;
             let patch = cut_outs.find(point.stamped, point.pixel);
             let better = patch.and_then(|patch| ball.seek(&patch, &again, &place));
-            *slot = better.filter(|c| off_path_px(c) < now_off_px).or(*slot);
+            let better = better.filter(|c| off_path_px(c) < now_off_px);
+            *slot = better.or(slot.map(|kept| doubted(kept, place.centre_px)));
         }
         let mut fitted = 0;
         for (point, centre) in track.points.iter_mut().zip(&centres) {
@@ -309,6 +310,16 @@ pub fn whole_covariance(centre: &FittedCentre) -> Matrix2<f64> {
     centre.covariance_px2 + Matrix2::identity() * SYSTEMATIC_PX.powi(2)
 }
 
+/// A centre off its path that was not found again nearer to it: it is no surer than it is off. Up to what tells it from a
+/// centroid: what is further off the polish of the track takes out.
+fn doubted(centre: FittedCentre, path_px: Vector2<f64>) -> FittedCentre {
+    let off = (centre.centre_px - path_px).cap_magnitude(NEAR_PATH_PX);
+    FittedCentre {
+        covariance_px2: centre.covariance_px2 + off * off.transpose(),
+        ..centre
+    }
+}
+
 /// Ball and pictures of a track, fitted together.
 struct Fit {
     starts: Vec<(usize, PictureStart)>,
@@ -347,4 +358,29 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_centre_off_its_path_is_no_surer_than_it_is_off() {
+        let fitted = FittedCentre {
+            centre_px: Vector2::new(103.0, 54.0),
+            covariance_px2: Matrix2::identity() * 0.0004,
+            chi2: 7.0,
+            level: 90.0,
+        };
+        let kept = doubted(fitted, Vector2::new(103.6, 53.2));
+        assert_eq!(
+            (kept.centre_px, kept.chi2, kept.level),
+            (fitted.centre_px, 7.0, 90.0)
+        );
+        // One pixel off along (−0.6, 0.8): a variance of 1 there, what it was across.
+        let (along, across) = (Vector2::new(-0.6, 0.8), Vector2::new(0.8, 0.6));
+        let variance = |axis: Vector2<f64>| (axis.transpose() * kept.covariance_px2 * axis)[0];
+        assert!((variance(along) - 1.0004).abs() < 1e-12);
+        assert!((variance(across) - 0.0004).abs() < 1e-12);
+    }
 }

@@ -22,15 +22,33 @@ pub enum RecordingError {
         /// Why.
         source: std::io::Error,
     },
+    /// A frame whose bytes do not fill it.
+    #[error(
+        "camera {camera}, frame {frame}: has {bytes} bytes of pixels, {}x{} need {bytes_needed}", size_px.0, size_px.1
+    )]
+    FrameBytes {
+        /// Camera.
+        camera: CameraId,
+        /// Frame number.
+        frame: u64,
+        /// Columns and rows.
+        size_px: (u32, u32),
+        /// Bytes it has.
+        bytes: usize,
+        /// Bytes of that many pixels as they are sent.
+        bytes_needed: usize,
+    },
     /// A frame of another size than the camera's.
-    #[error("camera {camera}, frame {frame}: is {got_px:?} pixels, expected {expected_px:?}")]
+    #[error(
+        "camera {camera}, frame {frame}: is {}x{} pixels, expected {}x{}", got_px.0, got_px.1, expected_px.0, expected_px.1
+    )]
     FrameSize {
         /// Camera.
         camera: CameraId,
         /// Frame number.
         frame: u64,
-        /// Columns and rows, or, where only the byte count is wrong, that count and 1.
-        got_px: (u64, u64),
+        /// Columns and rows.
+        got_px: (u32, u32),
         /// Columns and rows.
         expected_px: (u32, u32),
     },

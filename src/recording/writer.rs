@@ -226,19 +226,25 @@ impl CameraWriter {
 
     fn check(&self, recorded: &RecordedFrame) -> Result<(), RecordingError> {
         let frame = &recorded.frame;
-        let (width_px, height_px) = (self.geometry.width_px, self.geometry.height_px);
-        let got_px = if (frame.width_px, frame.height_px) != (width_px, height_px) {
-            Some((u64::from(frame.width_px), u64::from(frame.height_px)))
-        } else {
-            let count = frame.bytes().len() as u64;
-            (count != u64::from(width_px) * u64::from(height_px)).then_some((count, 1))
-        };
-        if let Some(got_px) = got_px {
+        let size_px = (self.geometry.width_px, self.geometry.height_px);
+        let got_px = (frame.width_px, frame.height_px);
+        if got_px != size_px {
             return Err(RecordingError::FrameSize {
                 camera: self.camera.clone(),
                 frame: frame.stamp.frame,
                 got_px,
-                expected_px: (width_px, height_px),
+                expected_px: size_px,
+            });
+        }
+        let bytes = frame.bytes().len();
+        let bytes_needed = size_px.0 as usize * size_px.1 as usize;
+        if bytes != bytes_needed {
+            return Err(RecordingError::FrameBytes {
+                camera: self.camera.clone(),
+                frame: frame.stamp.frame,
+                size_px,
+                bytes,
+                bytes_needed,
             });
         }
         let (frame, stamped_ns) = (frame.stamp.frame, frame.stamp.stamped.nanos());

@@ -23,6 +23,8 @@ pub struct Mono8 {
     pub height_px: u32,
     /// `width·height` bytes.
     pub pixels: Vec<u8>,
+    /// Bits of a value of two bytes, where the file says it.
+    pub own_bits: Option<u32>,
 }
 
 /// Why an image or video file cannot be read.
@@ -43,9 +45,9 @@ pub fn is_image_name(file: &Path) -> bool {
 
 /// Reads an image. Colour becomes luma (BT.601, as OpenCV), transparency is dropped.
 ///
-/// Of a value of two bytes the upper eight of its `level_bits` are taken. `None`: as many as a PGM's maximum needs; where
-/// that is 65535, as most programs write it, and in PNG and TIFF, nothing says how many the camera filled, and a wrong guess
-/// would darken or clip without a word.
+/// Of a value of two bytes the upper eight are taken: of as many bits as a PGM's own maximum needs; where that is 65535, as
+/// most programs write it, and in PNG and TIFF, of `level_bits`. Without those nothing says how many the camera filled, and a
+/// wrong guess would darken or clip without a word.
 ///
 /// # Errors
 /// The file cannot be read or decoded, has more than 16 bits a value, it is not known how many of them count, or a value
@@ -128,16 +130,18 @@ fn parse_pgm(mut bytes: Vec<u8>, level_bits: Option<u32>) -> Result<Mono8, Strin
     }
     bytes.drain(..begin);
     bytes.truncate(usize::try_from(size).map_err(|_| "is too large".to_owned())?);
+    let own_bits = (256..65535).contains(&white).then(|| white.ilog2() + 1);
     if value_bytes == 2 {
-        let by_maximum = (white < 65535).then(|| white.ilog2() + 1);
-        let bits = level_bits.or(by_maximum).ok_or_else(unknown_bits)?;
+        let bits = own_bits.or(level_bits).ok_or_else(unknown_bits)?;
         let (values, _) = bytes.as_chunks::<2>();
-        bytes = upper_eight(values.iter().map(|value| u16::from_be_bytes(*value)), bits)?;
+        bytes = upper_eight(values.iter().map(|value| u16::from_be_bytes(*value)), bits)
+            .map_err(|needed| too_many_bits(needed, bits, own_bits.map(|_| white)))?;
     }
     Ok(Mono8 {
         width_px,
         height_px,
         pixels: bytes,
+        own_bits,
     })
 }
 
@@ -145,8 +149,17 @@ fn unknown_bits() -> String {
     "has 16 bits per value, and does not say how many of them the camera filled; give --bits (10, 12, 14 or 16)".to_owned()
 }
 
-/// The upper eight bits of levels of 8 to 16.
-fn upper_eight(values: impl Iterator<Item = u16>, level_bits: u32) -> Result<Vec<u8>, String> {
+/// `white`: the maximum that the file itself has.
+fn too_many_bits(needed: u32, level_bits: u32, white: Option<u32>) -> String {
+    let (should, mend) = match white {
+        Some(white) => (format!("its maximum of {white} has"), "the file is broken"),
+        None => ("it should have".to_owned(), "correct --bits"),
+    };
+    format!("has values of {needed} bits, more than the {level_bits} that {should}; {mend}")
+}
+
+/// The upper eight bits of levels of 8 to 16; the bits that a level needs where those are more.
+fn upper_eight(values: impl Iterator<Item = u16>, level_bits: u32) -> Result<Vec<u8>, u32> {
     let shift = level_bits.saturating_sub(8).min(8);
     let mut all = 0;
     let levels = values.map(|value| {
@@ -156,9 +169,7 @@ fn upper_eight(values: impl Iterator<Item = u16>, level_bits: u32) -> Result<Vec
     let levels = levels.collect();
     let needed = u16::BITS - all.leading_zeros();
     if needed > level_bits {
-        return Err(format!(
-            "has values of {needed} bits, more than the {level_bits} that it should have; correct --bits"
-        ));
+        return Err(needed);
     }
     Ok(levels)
 }
@@ -194,14 +205,28 @@ fn grey(image: &Mat, level_bits: Option<u32>) -> Result<Mono8, String> {
         image.data_bytes().map_err(text)?.to_vec()
     } else {
         let values = image.data_typed::<u16>().map_err(text)?;
-        upper_eight(values.iter().copied(), level_bits.ok_or_else(unknown_bits)?)?
+        let bits = level_bits.ok_or_else(unknown_bits)?;
+        upper_eight(values.iter().copied(), bits).map_err(|needed| too_many_bits(needed, bits, None))?
     };
     let side = |n: i32| u32::try_from(n).map_err(|_| "has no size".to_owned());
     Ok(Mono8 {
         width_px: side(image.cols())?,
         height_px: side(image.rows())?,
         pixels,
+        own_bits: None,
     })
+}
+
+/// A video's frame: nothing says how many of its bits count where it has more than eight.
+fn grey_of_video(frame: &Mat) -> Result<Mono8, String> {
+    if frame.depth() == CV_16U {
+        return Err(
+            "has 16 bits per value; of videos 8 are read. Make images of it (PNG or TIFF) and import their folder \
+             with --bits"
+                .to_owned(),
+        );
+    }
+    grey(frame, None)
 }
 
 /// A video file being read frame by frame.
@@ -269,7 +294,7 @@ impl VideoReader {
         if !self.capture.read(&mut self.frame).map_err(|e| wrong(e.message))? {
             return Ok(None);
         }
-        let image = grey(&self.frame, None).map_err(wrong)?;
+        let image = grey_of_video(&self.frame).map_err(wrong)?;
         self.frames_read += 1;
         Ok(Some(image))
     }
@@ -298,6 +323,15 @@ mod tests {
         let expected = vec![0xab, 0x12, 0, 255];
         assert_eq!(read(1023, ten, None), Ok(expected.clone()));
         assert_eq!(read(4095, twelve, None), Ok(expected.clone()));
+        // What a file says of itself counts, whatever was said for those that do not.
+        assert_eq!(read(1023, ten, Some(12)), Ok(expected.clone()));
+        let own_bits = |maximum| parse_pgm(pgm(maximum, ten), Some(12)).unwrap().own_bits;
+        assert_eq!((own_bits(1023), own_bits(65535)), (Some(10), None));
+        let error = read(1023, twelve, None).unwrap_err();
+        assert!(
+            error.contains("12 bits, more than the 10 that its maximum of 1023 has"),
+            "{error}"
+        );
         // Most programs write 65535 whatever the camera filled.
         assert!(read(65535, twelve, None).unwrap_err().contains("give --bits"));
         assert_eq!(read(65535, twelve, Some(12)), Ok(expected.clone()));
@@ -336,7 +370,19 @@ mod tests {
                         .reason
                         .contains("has values of 12 bits")
                 );
+                // --bits is for images.
+                let told = grey_of_video(&image(kind, f64::from(0xabc))).unwrap_err();
+                assert!(
+                    told.contains("Make images of it") && !told.contains("give --bits"),
+                    "{told}"
+                );
             }
+            assert_eq!(
+                grey_of_video(&image(opencv::core::CV_8UC1, 200.0))
+                    .unwrap()
+                    .pixels,
+                [200; 15]
+            );
             // The bits of values in one byte are known.
             write(&image(opencv::core::CV_8UC1, 200.0));
             assert_eq!(read_mono8(&file, Some(12)).unwrap().pixels, [200; 15]);
