@@ -372,15 +372,17 @@ mod tests {
             chi2: 7.0,
             level: 90.0,
         };
-        let kept = doubted(fitted, Vector2::new(103.6, 53.2));
-        assert_eq!(
-            (kept.centre_px, kept.chi2, kept.level),
-            (fitted.centre_px, 7.0, 90.0)
-        );
-        // One pixel off along (−0.6, 0.8): a variance of 1 there, what it was across.
+        // Off along (−0.6, 0.8): less sure there, as sure as it was across.
         let (along, across) = (Vector2::new(-0.6, 0.8), Vector2::new(0.8, 0.6));
-        let variance = |axis: Vector2<f64>| (axis.transpose() * kept.covariance_px2 * axis)[0];
-        assert!((variance(along) - 1.0004).abs() < 1e-12);
-        assert!((variance(across) - 0.0004).abs() < 1e-12);
+        for (off_px, sigma_px) in [(0.1, 0.1), (0.25, 0.25), (1.0, 0.25)] {
+            let kept = doubted(fitted, fitted.centre_px - along * off_px);
+            assert_eq!((kept.centre_px, kept.chi2), (fitted.centre_px, fitted.chi2));
+            let variance = |axis: Vector2<f64>| (axis.transpose() * kept.covariance_px2 * axis)[0];
+            assert!(
+                (variance(along) - sigma_px * sigma_px - 0.0004).abs() < 1e-12,
+                "{off_px}"
+            );
+            assert!((variance(across) - 0.0004).abs() < 1e-12, "{off_px}");
+        }
     }
 }
