@@ -110,10 +110,11 @@ impl History {
         let mut chosen = pair.into_iter().find_map(|(a, b)| a.zip(b));
         if chosen.is_none() && ended {
             let newest = self.count().checked_sub(1)?;
+            let middle = self.first_index.midpoint(newest);
             let far = [
                 (self.first_index, newest),
-                (newest / 2, newest),
-                (self.first_index, newest / 2),
+                (middle, newest),
+                (self.first_index, middle),
             ];
             chosen = far
                 .into_iter()
