@@ -2,7 +2,7 @@
 #![allow(unsafe_code)]
 
 use super::fronts::{self, Piece};
-use super::kernel::{self, WindowSums};
+use super::kernel::{self, Limits, WindowSums};
 use super::lanes::{Look, PixelLanes, Sums};
 use super::packing;
 use crate::scene::PixelFormat;
@@ -135,7 +135,7 @@ impl Kernels {
 dispatched!(
     kernel:
     /// See [`kernel::changed_tiles`].
-    changed_tiles(images: (&[u8], &[u8]), width: usize, thresholds: &[u8], most: &mut [u8], hits: &mut [bool]) -> bool
+    changed_tiles(images: (&[u8], &[u8]), width: usize, limits: Limits<'_>, most: &mut [u8], hits: &mut [bool]) -> bool
 );
 dispatched!(
     kernel:

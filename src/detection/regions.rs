@@ -4,11 +4,12 @@
 //! |current − previous|; for Gaussian noise that mean is σ_d·√(2/π). Rises are followed at once, falls slowly.
 
 use super::config::DetectorConfig;
-use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
+use super::kernel::{Limits, SEGMENT_TILES, TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use crate::scene::PixelRect;
 
 /// Tile columns of a region.
 pub const REGION_TILES: usize = 4;
+const _: () = assert!(SEGMENT_TILES.is_multiple_of(REGION_TILES));
 /// Tile rows of a region.
 pub const REGION_BANDS: usize = 8;
 /// √(π/2): from mean |d| to σ_d of a Gaussian.
@@ -25,6 +26,9 @@ pub struct RegionNoise {
     levels: Vec<u8>,
     /// Per tile, 255 where it is not searched.
     threshold: Vec<u8>,
+    /// The lowest threshold of every segment of a row of tiles.
+    lowest: Vec<u8>,
+    segments: usize,
     searched: Vec<bool>,
     bands: usize,
     tile_columns: usize,
@@ -44,6 +48,8 @@ impl RegionNoise {
             sigma: vec![SIGMA_START; count],
             levels: vec![0; count],
             threshold: vec![u8::MAX; tile_columns * bands],
+            lowest: vec![u8::MAX; tile_columns.div_ceil(SEGMENT_TILES) * bands],
+            segments: tile_columns.div_ceil(SEGMENT_TILES),
             bands,
             searched: (0..tile_columns * bands)
                 .map(|tile| tile_searched(config, tile % tile_columns, tile / tile_columns))
@@ -79,6 +85,19 @@ impl RegionNoise {
                     *threshold = levels;
                 }
             }
+            self.set_lowest(band, column * REGION_TILES / SEGMENT_TILES);
+        }
+    }
+
+    /// Of a segment of a row of tiles; a region is within one.
+    fn set_lowest(&mut self, band: usize, segment: usize) {
+        let first = segment * SEGMENT_TILES;
+        let tiles = band * self.tile_columns + first
+            ..band * self.tile_columns + self.tile_columns.min(first + SEGMENT_TILES);
+        let thresholds = self.threshold.get(tiles).unwrap_or_default();
+        let lowest = thresholds.iter().copied().min().unwrap_or(u8::MAX);
+        if let Some(known) = self.lowest.get_mut(band * self.segments + segment) {
+            *known = lowest;
         }
     }
 
@@ -100,6 +119,15 @@ impl RegionNoise {
         self.threshold
             .get(begin..begin + self.tile_columns)
             .unwrap_or(&[])
+    }
+
+    /// The thresholds of a row of tiles, with the lowest of each segment.
+    pub fn band_limits(&self, band: usize) -> Limits<'_> {
+        let segments = band * self.segments;
+        Limits {
+            tiles: self.band_thresholds(band),
+            lowest: self.lowest.get(segments..segments + self.segments).unwrap_or(&[]),
+        }
     }
 
     /// Standard deviation of a frame difference here, levels.

@@ -34,11 +34,11 @@ impl Scan {
 
     /// A band of a frame and of the one before, read once; `turn` is another for every frame. Tiles that changed are set.
     pub fn band(&mut self, band: usize, turn: u64, (current, before): (&[u8], &[u8]), changed: &mut TileMap) {
-        let thresholds = self.noise.band_thresholds(band);
+        let limits = self.noise.band_limits(band);
         let (most, hits) = (&mut self.column_changes, &mut self.tile_hits);
         if self
             .kernels
-            .changed_tiles((current, before), self.width_px, thresholds, most, hits)
+            .changed_tiles((current, before), self.width_px, limits, most, hits)
         {
             let tiles = self.tile_hits.iter().enumerate();
             for (column, _) in tiles.filter(|(_, hit)| **hit) {
