@@ -10,7 +10,8 @@ use nalgebra::Vector2;
 
 use super::calibrating::CalibrationInUse;
 use super::publish::{PublishHealth, in_flight_line};
-use crate::flight::{FlightOptions, look_ahead};
+use crate::flight::sighting::CameraModel;
+use crate::flight::{FlightOptions, look_ahead, may_be_one_pitch};
 use crate::geometry::Pixel;
 use crate::scene::{Calibration, CameraId, Outlook, Rig, Track, WorldFrame};
 use crate::time::{ArrivalTime, TrueMidpoint};
@@ -176,12 +177,21 @@ fn combinations(calibration: &Calibration, flights: &[&Track]) -> Vec<Vec<Track>
         let timing = calibration.camera(&track.camera)?.timing();
         Some(timing.true_midpoint(last.stamped, last.pixel.y))
     };
+    let cameras = calibration.cameras.iter().map(CameraModel::from_calibration);
+    let cameras: BTreeMap<CameraId, CameraModel> = cameras.map(|c| (c.id.clone(), c)).collect();
+    // A look at three instants; a flight that two players' limbs make is dear to refuse.
+    let are_one = |one: &Track, other: &Track| {
+        let pair = cameras.get(&one.camera).zip(cameras.get(&other.camera));
+        pair.is_some_and(|(a, b)| may_be_one_pitch((a, one), (b, other)))
+    };
     let mut sets: Vec<Vec<(&Track, TrueMidpoint)>> = vec![Vec::new()];
     for track in flights {
         let Some(ends) = end(track) else { continue };
         let fits = |set: &&Vec<(&Track, TrueMidpoint)>| {
             set.iter().all(|(other, other_ends)| {
-                other.camera != track.camera && ends.seconds_since(other_ends.nanos()).abs() < TOGETHER_S
+                other.camera != track.camera
+                    && ends.seconds_since(other_ends.nanos()).abs() < TOGETHER_S
+                    && are_one(other, track)
             })
         };
         let longer: Vec<_> = sets

@@ -22,6 +22,7 @@ mod solve_tests;
 mod start;
 #[cfg(test)]
 pub(crate) mod synthetic;
+mod together;
 pub mod trajectory;
 mod zone;
 
@@ -41,5 +42,6 @@ pub use pitch::{PitchOptions, flight_samples, is_far_off, pitch_from_flight};
 pub use residuals::{PointResidual, residuals};
 pub use solve::{FlightOptions, solve_flight};
 pub use start::linear_start;
+pub use together::may_be_one_pitch;
 pub use trajectory::{FlightPrior, Trajectory};
 pub use zone::{BALL_RADIUS_M, HALF_PLATE_M, StrikeZone};
