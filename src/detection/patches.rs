@@ -20,10 +20,14 @@ const REACH_MARGIN_PX: f64 = 12.0;
 /// ... and never further than this.
 const REACH_MAX_PX: f64 = 44.0;
 
-/// A track may lack so many frames before its begin and after its end.
-const BEYOND_ENDS: f64 = 3.4;
 /// Points that say where the ball was beyond an end.
 const END_POINTS: usize = 8;
+/// A ball is followed through so many frames beyond an end, and may be missing in so many of them in a row.
+const BEYOND_FRAMES_MAX: usize = 60;
+const ABSENT_FRAMES_MAX: f64 = 4.5;
+/// It is no further from the straight line through its last points than so many radii, and so many pixels a frame.
+const BEYOND_RADII: f64 = 1.5;
+const BEYOND_PX: f64 = 2.0;
 
 /// Where a cut-out is, in the frame and in the arena.
 #[derive(Debug, Clone, Copy)]
@@ -150,34 +154,45 @@ impl PatchPool {
         });
     }
 
-    /// A pool of its own with the cut-outs of this track's points, and where the track lacks a frame the largest that holds
-    /// the ball: what a second look on another thread needs.
+    /// A pool of its own with the cut-outs of this track's points, of the frames that it lacks, and of those beyond its ends
+    /// as far as something goes on there: what a second look on another thread needs.
     pub fn of_track(&self, track: &Track) -> Self {
-        let Some(path) = BallPath::of(track) else {
+        let path = BallPath {
+            points: &track.points,
+        };
+        let Some((first, last)) = track.span() else {
             return Self::new(0);
         };
-        let first = self.headers.partition_point(|h| h.stamped < path.begin);
-        let near = self.headers.range(first..).take_while(|h| h.stamped <= path.end);
+        let begin = self.headers.partition_point(|h| h.stamped < first);
+        let end = self.headers.partition_point(|h| h.stamped <= last);
+        let mut headers: Vec<&Header> = Vec::with_capacity(track.points.len() + 2 * BEYOND_FRAMES_MAX);
+        let before = self.headers.range(..begin).rev();
+        headers.extend(GoingOn::from_begin(track).among(before));
+        headers.reverse();
         // Of one frame only the largest: a crowd has many.
-        let mut headers: Vec<&Header> = Vec::with_capacity(track.points.len());
-        for header in near.filter(|h| path.needs(h)) {
+        for header in self.headers.range(begin..end).filter(|h| path.needs(h)) {
             match headers.last_mut().filter(|last| last.stamped == header.stamped) {
                 Some(last) if last.size() < header.size() => *last = header,
                 Some(_) => {}
                 None => headers.push(header),
             }
         }
+        headers.extend(GoingOn::from_end(track).among(self.headers.range(end..)));
+        self.copy_of(&headers)
+    }
+
+    fn copy_of(&self, headers: &[&Header]) -> Self {
         let mut own = Self {
             bytes: Vec::new(),
-            headers: VecDeque::with_capacity(track.points.len()),
+            headers: VecDeque::with_capacity(headers.len()),
             next: 0,
         };
         for header in headers {
             let offset = own.bytes.len();
-            let end = header.offset + 3 * header.width * header.height;
+            let end = header.offset + 3 * header.size();
             own.bytes
                 .extend_from_slice(self.bytes.get(header.offset..end).unwrap_or_default());
-            own.headers.push_back(Header { offset, ..*header });
+            own.headers.push_back(Header { offset, ..**header });
         }
         own.next = own.bytes.len();
         own
@@ -247,29 +262,12 @@ impl Header {
     }
 }
 
-/// Where the ball of a track is, also in frames that the track lacks.
+/// Where the ball of a track is, also in frames between its points.
 struct BallPath<'a> {
     points: &'a [TrackPoint],
-    /// First and last stamp that it is looked for.
-    begin: StampedMidpoint,
-    end: StampedMidpoint,
 }
 
-impl<'a> BallPath<'a> {
-    fn of(track: &'a Track) -> Option<Self> {
-        let (first, last) = track.span()?;
-        let steps = track.points.windows(2).filter_map(|pair| match pair {
-            [a, b] => Some(b.stamped.seconds_since(a.stamped.nanos())),
-            _ => None,
-        });
-        let beyond_s = BEYOND_ENDS * steps.min_by(f64::total_cmp).unwrap_or(0.0);
-        Some(Self {
-            points: &track.points,
-            begin: StampedMidpoint::from_seconds_since(first.nanos(), -beyond_s),
-            end: StampedMidpoint::from_seconds_since(last.nanos(), beyond_s),
-        })
-    }
-
+impl BallPath<'_> {
     /// Whether a cut-out is a point's own, or holds the ball in a frame of which the track has no point.
     fn needs(&self, header: &Header) -> bool {
         let after = self.points.partition_point(|p| p.stamped < header.stamped);
@@ -281,19 +279,95 @@ impl<'a> BallPath<'a> {
         }
     }
 
-    /// On the straight line between the neighbours, or on from an end; `after` is the first point behind the stamp.
+    /// On the straight line between the neighbours; `after` is the first point behind the stamp.
     fn place(&self, after: usize, stamped: StampedMidpoint) -> Option<Vector2<f64>> {
-        let count = self.points.len();
-        let (from, to) = match after {
-            0 => (0, END_POINTS.min(count) - 1),
-            _ if after < count => (after - 1, after),
-            _ => (count.saturating_sub(END_POINTS), count - 1),
-        };
-        let (from, to) = (self.points.get(from)?, self.points.get(to)?);
-        let span_s = to.stamped.seconds_since(from.stamped.nanos());
-        let share = stamped.seconds_since(from.stamped.nanos()) / f64::max(span_s, 1e-9);
-        let (from, to) = (from.pixel.vector(), to.pixel.vector());
-        Some(from + (to - from) * share)
+        let at = |point: &TrackPoint| (point.stamped, point.pixel.vector());
+        let (from, to) = (self.points.get(after.checked_sub(1)?)?, self.points.get(after)?);
+        Some(on_line(at(from), at(to), stamped))
+    }
+}
+
+/// A place and when it was.
+type Past = (StampedMidpoint, Vector2<f64>);
+
+/// Where something that moves straight is at a stamp.
+fn on_line(from: Past, to: Past, stamped: StampedMidpoint) -> Vector2<f64> {
+    let span_s = to.0.seconds_since(from.0.nanos());
+    let share = stamped.seconds_since(from.0.nanos()) / if span_s == 0.0 { 1.0 } else { span_s };
+    from.1 + (to.1 - from.1) * share
+}
+
+/// The end of a track, followed on from candidate to candidate: coarse, for a fit decides whether it is the ball. An edge
+/// of shadow or of a board draws the candidates aside and ends a track before the ball is gone.
+struct GoingOn {
+    /// The latest places, the newest last.
+    latest: VecDeque<Past>,
+    /// Between two frames, seconds.
+    step_s: f64,
+}
+
+impl GoingOn {
+    fn from_end(track: &Track) -> Self {
+        let from = track.points.len().saturating_sub(END_POINTS);
+        Self::new(track, track.points.iter().skip(from))
+    }
+
+    fn from_begin(track: &Track) -> Self {
+        let to = END_POINTS.min(track.points.len());
+        Self::new(track, track.points.iter().take(to).rev())
+    }
+
+    fn new<'a>(track: &Track, points: impl Iterator<Item = &'a TrackPoint>) -> Self {
+        let steps = track.points.windows(2).filter_map(|pair| match pair {
+            [a, b] => Some(b.stamped.seconds_since(a.stamped.nanos())),
+            _ => None,
+        });
+        let mut latest = VecDeque::with_capacity(END_POINTS + 1);
+        latest.extend(points.map(|p| (p.stamped, p.pixel.vector())));
+        Self {
+            latest,
+            step_s: steps.min_by(f64::total_cmp).unwrap_or(0.0),
+        }
+    }
+
+    /// Those of the cut-outs, given as their frames follow each other, in which it goes on; one a frame.
+    fn among<'a>(mut self, headers: impl Iterator<Item = &'a Header>) -> Vec<&'a Header> {
+        let mut found: Vec<&Header> = Vec::new();
+        let mut nearest: Option<(f64, &Header)> = None;
+        for header in headers {
+            if let Some((_, last)) = nearest.filter(|(_, last)| last.stamped != header.stamped) {
+                self.go_to(last);
+                found.push(last);
+                nearest = None;
+            }
+            let Some((off_px, absent)) = self.off_px(header) else {
+                break;
+            };
+            if absent > ABSENT_FRAMES_MAX || found.len() >= BEYOND_FRAMES_MAX {
+                break;
+            }
+            let reach_px = BEYOND_RADII * header.radius_px + BEYOND_PX * absent.max(1.0);
+            if off_px < reach_px && nearest.is_none_or(|(least, _)| off_px < least) {
+                nearest = Some((off_px, header));
+            }
+        }
+        found.extend(nearest.map(|(_, last)| last));
+        found
+    }
+
+    /// How far a candidate is from where it goes, pixels, and frames since it was last seen.
+    fn off_px(&self, header: &Header) -> Option<(f64, f64)> {
+        let (from, to) = (*self.latest.front()?, *self.latest.back()?);
+        let off = header.centre.vector() - on_line(from, to, header.stamped);
+        let absent = header.stamped.seconds_since(to.0.nanos()).abs() / self.step_s.max(1e-9);
+        Some((off.norm(), absent))
+    }
+
+    fn go_to(&mut self, header: &Header) {
+        if self.latest.len() >= END_POINTS {
+            self.latest.pop_front();
+        }
+        self.latest.push_back((header.stamped, header.centre.vector()));
     }
 }
 
@@ -304,4 +378,82 @@ fn span((first, last): (usize, usize), centre: f64, reach: f64, size: usize) -> 
     let begin = first.saturating_sub(MARGIN_PX).max(lowest).min(size);
     let end = (last + 1 + MARGIN_PX).min(highest).min(size);
     (begin, end.saturating_sub(begin))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detection::{Isa, Kernels};
+    use crate::scene::CameraId;
+    use nalgebra::Matrix2;
+
+    const STEP_PX: f64 = 12.0;
+
+    fn stamped(frame: u64) -> StampedMidpoint {
+        StampedMidpoint::from_seconds_since(0, frame as f64 / 175.0)
+    }
+
+    fn keep(pool: &mut PatchPool, frame: u64, x: f64, y: f64) {
+        let image = vec![0; 600 * 100];
+        let images = Images {
+            kernels: Kernels::new(Isa::detect()),
+            width_px: 600,
+            height_px: 100,
+            current: &image,
+            one: &image,
+            other: &image,
+        };
+        let blob = Blob {
+            left: x as usize - 2,
+            right: x as usize + 2,
+            top: y as usize - 2,
+            bottom: y as usize + 2,
+            area_px: 25,
+            place_sum: [25 * x as usize, 25 * y as usize],
+            change_sum: 500,
+            peak: 40,
+            difference_sigma: 2.0,
+        };
+        let detection = Detection {
+            frame,
+            stamped: stamped(frame),
+            centre: Pixel::new(x, y),
+            covariance_px2: Matrix2::identity() * 0.01,
+            radius_px: 3.0,
+            streak_px: [5.0, 0.0],
+            strength: 10.0,
+        };
+        pool.keep(&images, &blob, &detection);
+    }
+
+    /// Frames 0–45, 12 px each, of which the track has 20–29. From frame 30 on the candidates are drawn aside by 4 px, as at
+    /// an edge of shadow, and in every frame something else is 25 px off. After a gap of six frames nothing is the ball's.
+    #[test]
+    fn a_track_is_followed_on_beyond_its_ends_but_not_over_a_gap() {
+        let mut pool = PatchPool::new(1 << 20);
+        for frame in 0..46 {
+            keep(&mut pool, frame, 20.0 + STEP_PX * frame as f64, 75.0);
+            let aside = if frame < 30 { 0.0 } else { 4.0 };
+            if !(12..14).contains(&frame) && !(36..42).contains(&frame) {
+                keep(&mut pool, frame, 20.0 + STEP_PX * frame as f64, 50.0 + aside);
+            }
+        }
+        let points = (20..30).map(|frame| TrackPoint {
+            frame,
+            stamped: stamped(frame),
+            pixel: Pixel::new(20.0 + STEP_PX * frame as f64, 50.0),
+            covariance_px2: None,
+        });
+        let track = Track {
+            camera: CameraId::new("a").unwrap(),
+            track: 0,
+            points: points.collect(),
+        };
+        let own = pool.of_track(&track);
+        let frames: Vec<u64> = own.frames().map(|(frame, _)| frame).collect();
+        let expected: Vec<u64> = (0..36).filter(|f| !(12..14).contains(f)).collect();
+        assert_eq!(frames, expected);
+        let others = own.headers.iter().filter(|h| h.centre.y > 60.0);
+        assert_eq!(others.count(), 0);
+    }
 }

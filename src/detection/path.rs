@@ -24,6 +24,8 @@ pub struct Place {
     pub velocity_px_per_s: Vector2<f64>,
     /// Level of the ball in the frames around ([`FittedCentre::level`]).
     pub level: f64,
+    /// How unsure the centre is, as a multiple of how unsure the fitted centres are.
+    pub spread: f64,
 }
 
 /// The place of point `index` on a parabola through the fitted centres nearest to it in time, without its own.
@@ -74,6 +76,7 @@ pub fn place(mut near: Vec<Near>) -> Option<Place> {
                 centre_px: curve.at(0.0),
                 velocity_px_per_s: Vector2::new(curve.x.y, curve.y.y) / curve.scale_s,
                 level,
+                spread: curve.spread,
             });
         }
         near.remove(worst.0);
@@ -86,6 +89,8 @@ struct Parabola {
     scale_s: f64,
     x: Vector3<f64>,
     y: Vector3<f64>,
+    /// Standard deviation at time 0 for a standard deviation of 1 of every centre.
+    spread: f64,
 }
 
 impl Parabola {
@@ -104,6 +109,7 @@ impl Parabola {
             scale_s,
             x: cholesky.solve(&x),
             y: cholesky.solve(&y),
+            spread: cholesky.solve(&powers(0.0)).x.sqrt(),
         })
     }
 
@@ -166,5 +172,26 @@ mod tests {
         assert!((98.0..=103.0).contains(&found.level), "{found:?}");
         centres.truncate(4);
         assert!(between(&track, &centres, 2).is_none());
+    }
+
+    #[test]
+    fn beyond_its_points_a_path_is_as_unsure_as_a_parabola_is() {
+        let near = |frames: std::ops::RangeInclusive<i32>| {
+            let near = frames.map(|frame| Near {
+                t_s: f64::from(frame),
+                centre_px: Vector2::new(f64::from(frame), 0.0),
+                level: 90.0,
+            });
+            place(near.collect()).unwrap()
+        };
+        // Five points −2..2: Σt⁰ = 5, Σt² = 10, Σt⁴ = 34; the inverse's first element is 34 / (5·34 − 10²) = 34/70.
+        assert!((near(-2..=2).spread - (34.0_f64 / 70.0).sqrt()).abs() < 1e-9);
+        // The same points one frame ahead of their last (u = 3): (34 − 2·10·9 + 5·81)/70 + 9/10 = 259/70 + 9/10.
+        let ahead = near(-5..=-1);
+        assert!(
+            (ahead.spread - (259.0_f64 / 70.0 + 0.9).sqrt()).abs() < 1e-9,
+            "{ahead:?}"
+        );
+        assert!(near(-16..=-12).spread > 10.0);
     }
 }

@@ -140,7 +140,7 @@ impl Refiner {
             let patch = cut_outs.find(point.stamped, point.pixel);
             let better = patch.and_then(|patch| ball.seek(&patch, &again, &place));
             let better = better.filter(|c| off_path_px(c) < now_off_px);
-            *slot = better.or(slot.map(|kept| doubted(kept, place.centre_px)));
+            *slot = better.or(*slot);
         }
         let mut fitted = 0;
         for (point, centre) in track.points.iter_mut().zip(&centres) {
@@ -310,16 +310,6 @@ pub fn whole_covariance(centre: &FittedCentre) -> Matrix2<f64> {
     centre.covariance_px2 + Matrix2::identity() * SYSTEMATIC_PX.powi(2)
 }
 
-/// A centre off its path that was not found again nearer to it: it is no surer than it is off. Up to what tells it from a
-/// centroid: what is further off the polish of the track takes out.
-fn doubted(centre: FittedCentre, path_px: Vector2<f64>) -> FittedCentre {
-    let off = (centre.centre_px - path_px).cap_magnitude(NEAR_PATH_PX);
-    FittedCentre {
-        covariance_px2: centre.covariance_px2 + off * off.transpose(),
-        ..centre
-    }
-}
-
 /// Ball and pictures of a track, fitted together.
 struct Fit {
     starts: Vec<(usize, PictureStart)>,
@@ -358,31 +348,4 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_centre_off_its_path_is_no_surer_than_it_is_off() {
-        let fitted = FittedCentre {
-            centre_px: Vector2::new(103.0, 54.0),
-            covariance_px2: Matrix2::identity() * 0.0004,
-            chi2: 7.0,
-            level: 90.0,
-        };
-        // Off along (−0.6, 0.8): less sure there, as sure as it was across.
-        let (along, across) = (Vector2::new(-0.6, 0.8), Vector2::new(0.8, 0.6));
-        for (off_px, sigma_px) in [(0.1, 0.1), (0.25, 0.25), (1.0, 0.25)] {
-            let kept = doubted(fitted, fitted.centre_px - along * off_px);
-            assert_eq!((kept.centre_px, kept.chi2), (fitted.centre_px, fitted.chi2));
-            let variance = |axis: Vector2<f64>| (axis.transpose() * kept.covariance_px2 * axis)[0];
-            assert!(
-                (variance(along) - sigma_px * sigma_px - 0.0004).abs() < 1e-12,
-                "{off_px}"
-            );
-            assert!((variance(across) - 0.0004).abs() < 1e-12, "{off_px}");
-        }
-    }
 }

@@ -23,9 +23,10 @@ const ADDED_CHI2_MAX: f64 = 6.0;
 const SIGMA_MAX_PX: f64 = 0.25;
 /// ... and the ball is no brighter or darker than its neighbours by more than this ratio (sun and shade).
 const LEVEL_RATIO_MAX: f64 = 3.0;
-/// Frames beyond an end in which the ball may be missed before it is given up, and in which it may be found.
-const MISSES_MAX: usize = 1;
-const BEYOND_MAX: usize = 6;
+/// A cut-out holds this share of the ball around its place at least: one around a lit or a dark cap is small.
+const HELD_SHARE: f64 = 0.5;
+/// Frames beyond an end in which the ball may be missed before it is given up.
+const MISSES_MAX: usize = 12;
 
 /// A ball as all frames of its track show it.
 pub struct FittedBall {
@@ -86,7 +87,7 @@ impl FittedBall {
         frames: impl Iterator<Item = (u64, StampedMidpoint)>,
     ) {
         let mut misses = 0;
-        for frame in frames.take(BEYOND_MAX) {
+        for frame in frames {
             if !self.add(cut_outs, track, frame) {
                 misses += 1;
                 if misses > MISSES_MAX {
@@ -129,11 +130,12 @@ impl FittedBall {
         let start = self.start(stamped, &place);
         let streak_px = start.streak_px.norm() * self.shared.streak_scale();
         let reach_px = start.radius_px + 0.5 * streak_px;
-        let patch = cut_outs.around(stamped, place.centre_px, reach_px)?;
+        let patch = cut_outs.around(stamped, place.centre_px, HELD_SHARE * reach_px)?;
         let found = self.seek(&patch, &start, &place)?;
         let variance = 0.5 * whole_covariance(&found).trace();
         let off_px = (found.centre_px - place.centre_px).norm();
-        let allowed_px = SIGMAS_MAX * (variance + PATH_SIGMA_PX.powi(2)).sqrt() + BEYOND_PX;
+        let allowed_px =
+            SIGMAS_MAX * (variance + (PATH_SIGMA_PX * place.spread.max(1.0)).powi(2)).sqrt() + BEYOND_PX;
         let ratio = found.level.max(place.level) / found.level.min(place.level).max(1e-9);
         let sure = found.chi2 <= ADDED_CHI2_MAX && variance < SIGMA_MAX_PX.powi(2) && ratio < LEVEL_RATIO_MAX;
         (sure && off_px <= allowed_px).then_some(found)

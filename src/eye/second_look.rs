@@ -21,6 +21,9 @@ const SHORT_S: [f64; 2] = [0.25, 0.5];
 /// batting practice ends.
 const SHAPES_KEPT: usize = 60;
 const SHAPES_BACK_MAX: usize = 240;
+/// A ball says at least this share of what the loudest one says, or nothing is learnt of its step: a slow one of half the speed
+/// says an eighth.
+const STEP_SAY_SHARE: f64 = 0.1;
 /// Points over which a step is averaged.
 const STEP_POINTS: usize = 6;
 
@@ -31,6 +34,8 @@ pub struct SecondLook {
     /// Balls seen, each with its number; by rising number.
     shapes: Vec<(usize, TrackShape)>,
     balls: usize,
+    /// What the ball says that said most ([`TrackShape::say`]).
+    loudest: f64,
     early: Vec<Early>,
 }
 
@@ -53,6 +58,7 @@ impl SecondLook {
             tracker_config: config.tracker.clone(),
             shapes: Vec::new(),
             balls: 0,
+            loudest: 0.0,
             early: Vec::new(),
         }
     }
@@ -99,7 +105,12 @@ impl SecondLook {
         if let Some(blur) = blur {
             self.refiner.learn(&blur);
         }
-        (ball, step)
+        let say = ball.shape.say();
+        if step.is_some() {
+            self.loudest = self.loudest.max(say);
+        }
+        // A leg before a bright board may pass for a ball: frames as far apart as suit it would hide balls.
+        (ball, step.filter(|_| say >= STEP_SAY_SHARE * self.loudest))
     }
 
     fn look_now(&self, ended: EndedBall) -> (TrackedBall, Option<BallStep>, Option<BlurCosts>) {
