@@ -187,7 +187,7 @@ pub fn finish(
             noise::scale_by_median(&mut state);
         }
         problem.descend(&mut state, Loss::Cauchy { scale: 3.0 }, 8);
-        let found = wrong_tracks::take_out(pitches, &mut state);
+        let found = wrong_tracks::take_out(pitches, &mut state, &problem.flight.acceleration_levels_mps2);
         if state.flights.len() < options.pitches_needed {
             return Err(CalibrationError::TooFewPitches {
                 found: state.flights.len(),

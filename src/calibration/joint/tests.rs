@@ -108,6 +108,37 @@ fn three_cameras_reach_the_reference_numbers() {
     assert!(plate.iter().sum::<f64>() / 24.0 < 3.5, "{plate:?}");
 }
 
+/// Centres to 0.03 px: the wobble of a knuckleball, centimetres, is a thousand sigmas off any rigid flight, in every track.
+#[test]
+fn a_knuckleball_seen_sharply_keeps_its_tracks() {
+    let scenario = Scenario::from_path(std::path::Path::new("config/scenario/three.toml")).unwrap();
+    for seed in 1..=2 {
+        let scenario = scenario
+            .clone()
+            .with_seed(seed)
+            .with_detection(DetectionNoise::gaussian(0.03));
+        let simulated = simulate_tracks(&scenario).unwrap();
+        let pitches = group_pitches(&simulated.rig, &simulated.tracks);
+        let options = JointOptions::default();
+        let solved = refine(&simulated.rig, &pitches, &start(&simulated, seed), &options).unwrap();
+        assert!(solved.wrong_tracks.is_empty(), "{:?}", solved.wrong_tracks);
+        let names = |i: &usize| simulated.truth.pitches[*i].name.clone();
+        let found: Vec<String> = solved.flight_pitches.iter().map(names).collect();
+        assert_eq!(found.len(), 8, "{found:?}");
+        let knuckle = found.iter().position(|name| name == "KN").unwrap();
+        let flight = &solved.flights[knuckle];
+        assert!(flight.acceleration_sigma_mps2 > 0.5, "{flight:?}");
+        let truth = simulated.truth.pitches[solved.flight_pitches[knuckle]]
+            .plate_front_m
+            .unwrap();
+        let at = flight
+            .trajectory
+            .position_m(flight.trajectory.time_at_y(0.4318).unwrap());
+        let off_mm = 1e3 * (at.x - truth[0]).hypot(at.z - truth[1]);
+        assert!(off_mm < 4.0, "{off_mm}");
+    }
+}
+
 /// Two cameras, four pitches: enough for what is tested, and quick.
 fn small(seed: u64) -> (Simulated, Vec<PitchTracks>) {
     let scenario = Scenario::stock(Layout::TwoOpposite, &[0.73], 4)
