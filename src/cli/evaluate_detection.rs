@@ -68,7 +68,7 @@ pub struct EvaluateDetectionArgs {
 pub fn run(args: &EvaluateDetectionArgs) -> anyhow::Result<()> {
     let scores = match (&args.scenario, &args.result, &args.truth) {
         (Some(scenario), _, _) => of_scenario(args, scenario)?,
-        (None, ..) if args.detecting.detector.is_some() => {
+        (None, Some(_), _) if args.detecting.detector.is_some() => {
             anyhow::bail!("--detector: RESULT has been searched already; with --scenario frames are")
         }
         (None, Some(result), Some(truth)) => of_files(args, result, truth)?,

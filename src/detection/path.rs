@@ -26,6 +26,8 @@ pub struct Place {
     pub level: f64,
     /// How unsure the centre is, as a multiple of how unsure the fitted centres are.
     pub spread: f64,
+    /// How far off the centre is for a path whose acceleration changes by 1 px/s³, s³: a parabola leaves that out.
+    pub bend_s3: f64,
 }
 
 /// The place of point `index` on a parabola through the fitted centres nearest to it in time, without its own.
@@ -77,6 +79,7 @@ pub fn place(mut near: Vec<Near>) -> Option<Place> {
                 velocity_px_per_s: Vector2::new(curve.x.y, curve.y.y) / curve.scale_s,
                 level,
                 spread: curve.spread,
+                bend_s3: curve.bend_s3,
             });
         }
         near.remove(worst.0);
@@ -91,18 +94,21 @@ struct Parabola {
     y: Vector3<f64>,
     /// Standard deviation at time 0 for a standard deviation of 1 of every centre.
     spread: f64,
+    /// Distance at time 0 from a cubic that is t³/6 in seconds, s³.
+    bend_s3: f64,
 }
 
 impl Parabola {
     fn through(near: &[Near]) -> Option<Self> {
         let scale_s = near.iter().map(|n| n.t_s.abs()).fold(1e-6, f64::max);
         let mut normal = Matrix3::zeros();
-        let (mut x, mut y) = (Vector3::zeros(), Vector3::zeros());
+        let (mut x, mut y, mut cubic) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
         for near in near {
             let row = powers(near.t_s / scale_s);
             normal += row * row.transpose();
             x += row * near.centre_px.x;
             y += row * near.centre_px.y;
+            cubic += row * (near.t_s / scale_s).powi(3);
         }
         let cholesky = normal.cholesky()?;
         Some(Self {
@@ -110,6 +116,7 @@ impl Parabola {
             x: cholesky.solve(&x),
             y: cholesky.solve(&y),
             spread: cholesky.solve(&powers(0.0)).x.sqrt(),
+            bend_s3: cholesky.solve(&cubic).x.abs() * scale_s.powi(3) / 6.0,
         })
     }
 
@@ -193,5 +200,8 @@ mod tests {
             "{ahead:?}"
         );
         assert!(near(-16..=-12).spread > 10.0);
+        // u³ on −2..2 is 3.4 u (Σu⁴/Σu² = 34/10) and nothing else: at u = 3 it is off by 27 − 10.2, at u = 0 by nothing.
+        assert!((ahead.bend_s3 - 16.8 / 6.0).abs() < 1e-9, "{ahead:?}");
+        assert!(near(-2..=2).bend_s3 < 1e-9);
     }
 }

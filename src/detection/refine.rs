@@ -139,8 +139,7 @@ impl Refiner {
             let point = track.points.get(*index)?;
             let patch = cut_outs.find(point.stamped, point.pixel);
             let better = patch.and_then(|patch| ball.seek(&patch, &again, &place));
-            let better = better.filter(|c| off_path_px(c) < now_off_px);
-            *slot = better.or(*slot);
+            *slot = better.filter(|c| off_path_px(c) < now_off_px).or(*slot);
         }
         let mut fitted = 0;
         for (point, centre) in track.points.iter_mut().zip(&centres) {

@@ -1,10 +1,12 @@
 //! The second look: refines the centres of what may be a pitch, and judges again. Another thread may do it.
 
+use std::collections::VecDeque;
+
 use nalgebra::Vector2;
 
 use super::EyeConfig;
 use super::first_look::{BallStep, EndedBall, FlyingBall};
-use crate::detection::{BlurCosts, Refinement, Refiner};
+use crate::detection::{CutOuts, Refined, Refinement, Refiner};
 use crate::scene::Track;
 use crate::tracking::{TrackKind, TrackShape, TrackedBall, TrackerConfig, polish, vote};
 
@@ -21,8 +23,8 @@ const SHORT_S: [f64; 2] = [0.25, 0.5];
 /// batting practice ends.
 const SHAPES_KEPT: usize = 60;
 const SHAPES_BACK_MAX: usize = 240;
-/// A ball says at least this share of what the loudest one says, or nothing is learnt of its step: a slow one of half the speed
-/// says an eighth.
+/// A ball says at least this share of what the loudest of the last ones says, or nothing is learnt of its step: one of half
+/// the speed says an eighth.
 const STEP_SAY_SHARE: f64 = 0.1;
 /// Points over which a step is averaged.
 const STEP_POINTS: usize = 6;
@@ -34,17 +36,17 @@ pub struct SecondLook {
     /// Balls seen, each with its number; by rising number.
     shapes: Vec<(usize, TrackShape)>,
     balls: usize,
-    /// What the ball says that said most ([`TrackShape::say`]).
-    loudest: f64,
-    early: Vec<Early>,
+    /// What the last of them that may be pitches say ([`TrackShape::say`]).
+    says: VecDeque<f64>,
+    early: Vec<Fitted>,
 }
 
-/// A second look that was taken before the path had ended.
-struct Early {
+/// What was fitted of a ball, perhaps before its path had ended; what more of it there is to find is sought at the end.
+struct Fitted {
     by_first_look: Track,
+    /// With its centres fitted, where it may be a pitch.
     ball: TrackedBall,
-    step: Option<BallStep>,
-    blur: Option<BlurCosts>,
+    refined: Option<Refined>,
 }
 
 /// Early looks kept.
@@ -58,7 +60,7 @@ impl SecondLook {
             tracker_config: config.tracker.clone(),
             shapes: Vec::new(),
             balls: 0,
-            loudest: 0.0,
+            says: VecDeque::with_capacity(SHAPES_KEPT),
             early: Vec::new(),
         }
     }
@@ -78,69 +80,84 @@ impl SecondLook {
     /// Looks at a ball whose path will most likely end as it is: [`Self::look`] then answers at once. Where it does not
     /// end so, nothing has happened.
     pub fn look_early(&mut self, ended: EndedBall) {
-        let by_first_look = ended.ball.track.clone();
-        let (ball, step, blur) = self.look_now(ended);
+        let fitted = self.fit(ended.ball, ended.cut_outs.as_ref());
         if self.early.len() >= EARLY_MAX {
             self.early.remove(0);
         }
-        self.early.push(Early {
+        self.early.push(fitted);
+    }
+
+    /// Refines the centres of what may be a pitch, adds the frames in which the first look lost it, and trims what then
+    /// shows not to be free flight. With it what the first look should know of this camera's balls.
+    pub fn look(&mut self, ended: EndedBall) -> (TrackedBall, Option<BallStep>) {
+        let EndedBall { ball, cut_outs } = ended;
+        let same = |early: &Fitted| early.by_first_look.points == ball.track.points;
+        let number = ball.track.track;
+        let fitted = match self.early.iter().position(same) {
+            Some(at) => self.early.remove(at),
+            None => self.fit(ball, cut_outs.as_ref()),
+        };
+        let (mut ball, by_first_look) = self.complete(fitted, cut_outs.as_ref());
+        ball.track.track = number;
+        let may_teach = ball.kind == TrackKind::Pitch && self.is_loud(&ball.shape);
+        let step = may_teach.then(|| step_of(&ball.track, &by_first_look, ball.shape.radius_px));
+        (ball, step.flatten())
+    }
+
+    /// Whether a ball says enough beside the last ones: a leg before a bright board may pass for a ball, and frames as far
+    /// apart as suit it would hide balls.
+    fn is_loud(&mut self, shape: &TrackShape) -> bool {
+        let say = shape.say();
+        if self.says.len() >= SHAPES_KEPT {
+            self.says.pop_front();
+        }
+        self.says.push_back(say);
+        let loudest = self.says.iter().copied().fold(0.0, f64::max);
+        say >= STEP_SAY_SHARE * loudest
+    }
+
+    /// The centres of what may be a pitch, fitted.
+    fn fit(&self, mut ball: TrackedBall, cut_outs: Option<&CutOuts>) -> Fitted {
+        let by_first_look = ball.track.clone();
+        let refined = cut_outs.and_then(|cut_outs| self.refiner.refine(cut_outs, &mut ball.track));
+        if let Some(refined) = &refined {
+            self.judge(&mut ball, refined.refinement);
+        }
+        Fitted {
             by_first_look,
             ball,
-            step,
-            blur,
-        });
+            refined,
+        }
     }
 
-    /// Refines the centres of what may be a pitch, and trims what then shows not to be free flight. With it what the
-    /// first look should know of this camera's balls.
-    pub fn look(&mut self, ended: EndedBall) -> (TrackedBall, Option<BallStep>) {
-        let same = |early: &Early| early.by_first_look.points == ended.ball.track.points;
-        let early = self.early.iter().position(same).map(|at| self.early.remove(at));
-        let number = ended.ball.track.track;
-        let (mut ball, step, blur) = match early {
-            Some(early) => (early.ball, early.step, early.blur),
-            None => self.look_now(ended),
-        };
-        ball.track.track = number;
-        if let Some(blur) = blur {
-            self.refiner.learn(&blur);
-        }
-        let say = ball.shape.say();
-        if step.is_some() {
-            self.loudest = self.loudest.max(say);
-        }
-        // A leg before a bright board may pass for a ball: frames as far apart as suit it would hide balls.
-        (ball, step.filter(|_| say >= STEP_SAY_SHARE * self.loudest))
-    }
-
-    fn look_now(&self, ended: EndedBall) -> (TrackedBall, Option<BallStep>, Option<BlurCosts>) {
-        let EndedBall { mut ball, cut_outs } = ended;
-        let mut learnt = None;
-        let by_first_look = ball.track.clone();
-        if let Some(cut_outs) = &cut_outs
-            && let Some(mut refined) = self.refiner.refine(cut_outs, &mut ball.track)
-        {
+    /// Seeks a fitted ball in the frames that its track lacks, and learns its blur. With it its track by the first look.
+    fn complete(&mut self, fitted: Fitted, cut_outs: Option<&CutOuts>) -> (TrackedBall, Track) {
+        let Fitted {
+            by_first_look,
+            mut ball,
+            refined,
+        } = fitted;
+        if let Some((mut refined, cut_outs)) = refined.zip(cut_outs) {
             let refinement = refined.refinement;
-            let points = ball.track.points.len();
-            self.judge(&mut ball, refinement);
             let may_be_pitch = ball.kind == TrackKind::Pitch;
             // What is no ball teaches the wrong blur: a leg or a wing has no edge of a disc.
-            if may_be_pitch || ball.kind == TrackKind::ThrowBack {
-                learnt = refined.blur;
+            if let Some(blur) = refined
+                .blur
+                .filter(|_| may_be_pitch || ball.kind == TrackKind::ThrowBack)
+            {
+                self.refiner.learn(&blur);
             }
             let regained = may_be_pitch.then(|| refined.ball.regain(cut_outs, &mut ball.track));
             if regained.is_some_and(|count| count > 0) {
                 self.judge(&mut ball, refinement);
             }
+            let points = by_first_look.points.len();
             tracing::debug!(camera = %ball.track.camera, points, ?regained, ?refinement, "refined");
         }
-        let step = (ball.kind == TrackKind::Pitch)
-            .then(|| step_of(&ball.track, &by_first_look, ball.shape.radius_px))
-            .flatten();
         let ends = ball.track.points.first().zip(ball.track.points.last());
         let frames = ends.map(|(first, last)| (first.frame, last.frame));
         tracing::debug!(camera = %ball.track.camera, kind = ?ball.kind, ?frames, shape = ?ball.shape, "moved");
-        (ball, step, learnt)
+        (ball, by_first_look)
     }
 
     /// Trims what shows not to be free flight from a refined ball, and tells what is left.
@@ -223,4 +240,42 @@ fn step_of(track: &Track, by_first_look: &Track, radius_px: f64) -> Option<BallS
         length_px: 2.6 * radius_px + 0.3 * step_px,
         off_light_px: moved.iter().sum::<Vector2<f64>>() / moved.len().max(1) as f64,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Pixel;
+    use crate::scene::{CameraId, TrackPoint};
+    use crate::time::StampedMidpoint;
+
+    fn moving(step_px: f64, radius_px: f64) -> TrackShape {
+        let point = |frame: u64| TrackPoint {
+            frame,
+            stamped: StampedMidpoint::from_seconds_since(0, frame as f64 / 175.0),
+            pixel: Pixel::new(step_px * frame as f64, 0.02 * (frame * frame) as f64),
+            covariance_px2: None,
+        };
+        let track = Track {
+            camera: CameraId::new("side").unwrap(),
+            track: 0,
+            points: (0..80).map(point).collect(),
+        };
+        TrackShape::measure(&track, radius_px).unwrap()
+    }
+
+    #[test]
+    fn a_slow_thing_chooses_no_lag() {
+        let (ball, lob, leg) = (moving(20.0, 3.5), moving(10.0, 3.5), moving(4.0, 2.4));
+        let mut second = SecondLook::new(&EyeConfig::default());
+        // Nothing is known before the first, whatever it is.
+        assert!(second.is_loud(&leg) && second.is_loud(&ball));
+        assert!(!second.is_loud(&leg));
+        assert!(second.is_loud(&lob));
+        // The camera was moved to where balls look slow: the loud one is forgotten.
+        for _ in 0..SHAPES_KEPT {
+            second.is_loud(&leg);
+        }
+        assert!(second.is_loud(&leg));
+    }
 }
