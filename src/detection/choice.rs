@@ -62,6 +62,14 @@ impl ChosenDetector {
         }
     }
 
+    /// What it needs of a track that may go on.
+    pub fn point_cut_outs(&self, track: &Track) -> PatchPool {
+        match self {
+            Self::Ball(detector) => detector.point_cut_outs(track),
+            Self::Kim2019(_) => PatchPool::new(0),
+        }
+    }
+
     /// Chooses the frames' distance in time; peaks are always of consecutive frames.
     pub fn adapt_lag(&mut self, step_px: f64, length_px: f64) {
         match self {

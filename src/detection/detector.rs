@@ -271,9 +271,15 @@ impl Detector {
         self.lag = self.next_lag;
     }
 
-    /// Copies of the cut-outs kept for the points of a track, for the second look ([`super::Refiner`]).
+    /// Copies of the cut-outs kept for a track that has ended, for the second look ([`super::Refiner`]): of its points, and of
+    /// the frames in which more of it may be found.
     pub fn cut_outs(&self, track: &Track) -> PatchPool {
         self.patches.of_track(track)
+    }
+
+    /// Copies of the cut-outs kept for the points of a track that may go on: enough to fit them.
+    pub fn point_cut_outs(&self, track: &Track) -> PatchPool {
+        self.patches.of_points(track)
     }
 
     /// Chooses the lag for a ball that moves at least this far between frames and covers this length along its

@@ -78,9 +78,7 @@ impl PixelLanes {
             blocks: blocks.collect(),
         }
     }
-}
 
-impl PixelLanes {
     /// Every pixel with the level that it should have, and how much of it the ball covers.
     pub fn modelled(&self, look: &Look<'_>) -> Vec<(Observation, f64, f64)> {
         let mut all = Vec::with_capacity(LANES * self.blocks.len());

@@ -157,28 +157,39 @@ impl PatchPool {
     /// A pool of its own with the cut-outs of this track's points, of the frames that it lacks, and of those beyond its ends
     /// as far as something goes on there: what a second look on another thread needs.
     pub fn of_track(&self, track: &Track) -> Self {
-        let path = BallPath {
-            points: &track.points,
-        };
         let Some((first, last)) = track.span() else {
             return Self::new(0);
         };
         let begin = self.headers.partition_point(|h| h.stamped < first);
         let end = self.headers.partition_point(|h| h.stamped <= last);
-        let mut headers: Vec<&Header> = Vec::with_capacity(track.points.len() + 2 * BEYOND_FRAMES_MAX);
-        let before = self.headers.range(..begin).rev();
-        headers.extend(GoingOn::from_begin(track).among(before));
+        let mut headers = GoingOn::from_begin(track).among(self.headers.range(..begin).rev());
         headers.reverse();
-        // Of one frame only the largest: a crowd has many.
-        for header in self.headers.range(begin..end).filter(|h| path.needs(h)) {
+        headers.extend(self.within(track, |header| is_needed(&track.points, header)));
+        headers.extend(GoingOn::from_end(track).among(self.headers.range(end..)));
+        self.copy_of(&headers)
+    }
+
+    /// A pool of its own with the cut-outs of this track's points only: enough to fit them.
+    pub fn of_points(&self, track: &Track) -> Self {
+        self.copy_of(&self.within(track, |header| is_of_a_point(&track.points, header)))
+    }
+
+    /// The cut-outs wanted between the ends of a track; of one frame only the largest: a crowd has many.
+    fn within(&self, track: &Track, wanted: impl Fn(&Header) -> bool) -> Vec<&Header> {
+        let Some((first, last)) = track.span() else {
+            return Vec::new();
+        };
+        let begin = self.headers.partition_point(|h| h.stamped < first);
+        let mut headers: Vec<&Header> = Vec::with_capacity(track.points.len());
+        let between = self.headers.range(begin..).take_while(|h| h.stamped <= last);
+        for header in between.filter(|h| wanted(h)) {
             match headers.last_mut().filter(|last| last.stamped == header.stamped) {
                 Some(last) if last.size() < header.size() => *last = header,
                 Some(_) => {}
                 None => headers.push(header),
             }
         }
-        headers.extend(GoingOn::from_end(track).among(self.headers.range(end..)));
-        self.copy_of(&headers)
+        headers
     }
 
     fn copy_of(&self, headers: &[&Header]) -> Self {
@@ -262,28 +273,24 @@ impl Header {
     }
 }
 
-/// Where the ball of a track is, also in frames between its points.
-struct BallPath<'a> {
-    points: &'a [TrackPoint],
+/// Whether a cut-out is a point's own.
+fn is_of_a_point(points: &[TrackPoint], header: &Header) -> bool {
+    let at = points.partition_point(|p| p.stamped < header.stamped);
+    let point = points.get(at).filter(|point| point.stamped == header.stamped);
+    point.is_some_and(|point| point.pixel == header.centre)
 }
 
-impl BallPath<'_> {
-    /// Whether a cut-out is a point's own, or holds the ball in a frame of which the track has no point.
-    fn needs(&self, header: &Header) -> bool {
-        let after = self.points.partition_point(|p| p.stamped < header.stamped);
-        match self.points.get(after) {
-            Some(point) if point.stamped == header.stamped => point.pixel == header.centre,
-            _ => self
-                .place(after, header.stamped)
-                .is_some_and(|place| header.holds(place, 0.0)),
+/// Whether a cut-out is a point's own, or holds the ball in a frame of which the track has no point: on the straight line
+/// between the neighbours.
+fn is_needed(points: &[TrackPoint], header: &Header) -> bool {
+    let after = points.partition_point(|p| p.stamped < header.stamped);
+    let neighbours = points.get(after.saturating_sub(1)).zip(points.get(after));
+    match neighbours.filter(|(_, to)| to.stamped != header.stamped) {
+        Some((from, to)) => {
+            let at = |point: &TrackPoint| (point.stamped, point.pixel.vector());
+            header.holds(on_line(at(from), at(to), header.stamped), 0.0)
         }
-    }
-
-    /// On the straight line between the neighbours; `after` is the first point behind the stamp.
-    fn place(&self, after: usize, stamped: StampedMidpoint) -> Option<Vector2<f64>> {
-        let at = |point: &TrackPoint| (point.stamped, point.pixel.vector());
-        let (from, to) = (self.points.get(after.checked_sub(1)?)?, self.points.get(after)?);
-        Some(on_line(at(from), at(to), stamped))
+        None => is_of_a_point(points, header),
     }
 }
 
@@ -455,5 +462,7 @@ mod tests {
         assert_eq!(frames, expected);
         let others = own.headers.iter().filter(|h| h.centre.y > 60.0);
         assert_eq!(others.count(), 0);
+        let points: Vec<u64> = pool.of_points(&track).frames().map(|(frame, _)| frame).collect();
+        assert_eq!(points, (20..30).collect::<Vec<u64>>());
     }
 }

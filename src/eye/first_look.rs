@@ -151,7 +151,7 @@ impl FirstLook {
         let balls = self.tracker.ending(ENDING_FRAMES).into_iter();
         balls
             .map(|ball| EndedBall {
-                cut_outs: Some(self.detector.cut_outs(&ball.track)),
+                cut_outs: Some(self.detector.point_cut_outs(&ball.track)),
                 ball,
             })
             .collect()
@@ -171,7 +171,7 @@ impl FirstLook {
             .map(|path| FlyingBall {
                 camera: self.camera.clone(),
                 path: path.clone(),
-                cut_outs: self.detector.cut_outs(&path.track(&self.camera)),
+                cut_outs: self.detector.point_cut_outs(&path.track(&self.camera)),
             })
             .collect();
         let newest = told.iter().filter_map(|ball| ball.path.newest_frame()).max();

@@ -77,8 +77,8 @@ impl SecondLook {
         self.refiner.knows(&ended.ball.track)
     }
 
-    /// Looks at a ball whose path will most likely end as it is: [`Self::look`] then answers at once. Where it does not
-    /// end so, nothing has happened.
+    /// Fits a ball whose path will most likely end as it is: [`Self::look`] then has only the frames to seek that the path
+    /// lacks. Where it does not end so, nothing has happened.
     pub fn look_early(&mut self, ended: EndedBall) {
         let fitted = self.fit(ended.ball, ended.cut_outs.as_ref());
         if self.early.len() >= EARLY_MAX {
