@@ -72,7 +72,8 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     let PaceArg(pace) = args.pace;
     let known = args.solving.calibration()?;
     let eye = |camera: &CameraId| args.detecting.of(eye_of(&rig, camera, known.as_ref()));
-    let watched = watch_all(sources, &eye, pace, &|| progress.inc(1));
+    let sky = known.as_ref().map(|known| (&rig, known));
+    let watched = watch_all(sources, &eye, pace, sky, &|| progress.inc(1));
     progress.finish_and_clear();
 
     let mut warnings: Vec<String> = watched.iter().flat_map(|w| w.reasons.iter().cloned()).collect();

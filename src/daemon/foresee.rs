@@ -8,13 +8,12 @@ use std::time::{Duration, Instant};
 use crossbeam_channel::{Receiver, RecvTimeoutError, Sender};
 use nalgebra::Vector2;
 
-use super::calibrating::CalibrationInUse;
+use super::calibrating::{CalibrationInUse, Epochs};
 use super::publish::{PublishHealth, in_flight_line};
-use crate::flight::sighting::CameraModel;
-use crate::flight::{FlightOptions, look_ahead, may_be_one_pitch};
-use crate::geometry::Pixel;
-use crate::scene::{Calibration, CameraId, Outlook, Rig, Track, WorldFrame};
-use crate::time::{ArrivalTime, TrueMidpoint};
+use super::sky::{flight_in_sky, flights_of, foreseen_paths};
+use crate::flight::{SolvedFlight, outlook_of};
+use crate::scene::{Calibration, CameraId, ForeseenPath, Outlook, Rig, Track};
+use crate::time::ArrivalTime;
 use crate::tracking::{OpenPath, TrackerConfig};
 
 /// What one camera's eye has of balls in flight.
@@ -31,15 +30,20 @@ pub struct InFlight {
     pub off_light_px: Vector2<f64>,
 }
 
+/// Where a camera will see a ball that is in flight.
+pub struct ForeseenBall {
+    /// Epoch of the camera's clock that the stamps are of.
+    pub clock_epoch: u32,
+    /// Its way through the picture.
+    pub path: ForeseenPath,
+}
+
 /// No two estimates follow each other faster: 100 Hz.
 const PACE: Duration = Duration::from_millis(10);
 /// News of a camera older than this, by arrival, is of a ball that is gone.
 const STALE_NS: i64 = 120_000_000;
-/// Paths of one ball end together to this, seconds of true time.
-const TOGETHER_S: f64 = 0.12;
-/// Combinations of paths tried for one estimate, and most that are thought of.
-const TRIES: usize = 6;
-const COMBINATIONS_MAX: usize = 256;
+/// A flight seen for less is not told of, seconds.
+const SEEN_MIN_S: f64 = 0.1;
 /// Estimates of one flight agree on the plate time to this.
 const SAME_FLIGHT_NS: i64 = 250_000_000;
 
@@ -49,8 +53,10 @@ pub struct Foresee {
     pub rig: Rig,
     /// Tracker settings per camera.
     pub trackers: BTreeMap<CameraId, TrackerConfig>,
-    /// To the printer; when it is full the estimate is dropped.
-    pub lines: Sender<String>,
+    /// The eyes, to be told where the ball will be.
+    pub eyes: BTreeMap<CameraId, Sender<ForeseenBall>>,
+    /// To the printer, if anyone reads; when it is full the estimate is dropped.
+    pub lines: Option<Sender<String>>,
     /// What has been published.
     pub health: Arc<PublishHealth>,
 }
@@ -101,18 +107,10 @@ impl Foresee {
         let Some(config) = self.trackers.get(&camera) else {
             return;
         };
-        let flights = news.paths.iter().filter_map(|p| p.flight(&camera, config));
-        let flights = flights.map(|mut flight| {
-            for point in &mut flight.points {
-                let centre = point.pixel.vector() + news.off_light_px;
-                point.pixel = Pixel::new(centre.x, centre.y);
-            }
-            flight
-        });
         let latest = Latest {
             clock_epoch: news.clock_epoch,
             arrived: news.arrived,
-            flights: flights.collect(),
+            flights: flights_of(&news.paths, news.off_light_px, (&camera, config)),
         };
         sky.latest.insert(camera, latest);
     }
@@ -121,9 +119,6 @@ impl Foresee {
         let Some((calibration, epochs)) = &sky.calibration else {
             return;
         };
-        if calibration.world != WorldFrame::HomePlate {
-            return;
-        }
         let newest = sky.latest.values().map(|l| l.arrived.nanos()).max().unwrap_or(0);
         let valid = |(camera, latest): &(&CameraId, &Latest)| {
             epochs.get(*camera) == Some(&latest.clock_epoch) && newest - latest.arrived.nanos() < STALE_NS
@@ -134,17 +129,12 @@ impl Foresee {
             .filter(valid)
             .flat_map(|(_, latest)| &latest.flights)
             .collect();
-        let options = FlightOptions::for_site(&self.rig.site, calibration.world).in_flight();
-        let outlook = combinations(calibration, &flights)
-            .into_iter()
-            .take(TRIES)
-            .find_map(|tracks| match look_ahead(calibration, &tracks, &options) {
-                Ok(outlook) => Some(outlook),
-                Err(error) => {
-                    tracing::trace!(%error, "no outlook");
-                    None
-                }
-            });
+        let Some(flight) = flight_in_sky(&self.rig, calibration, &flights) else {
+            return;
+        };
+        self.tell_eyes(calibration, epochs, &flight);
+        let seen_s = flight.observed_s.1 - flight.observed_s.0;
+        let outlook = outlook_of(&flight).ok().filter(|_| seen_s > SEEN_MIN_S);
         // What has passed the plate is no news any more: its pitch is on the way.
         let Some(outlook) = outlook.filter(|o| o.time_ns < o.plate_time_ns) else {
             return;
@@ -157,55 +147,26 @@ impl Foresee {
         self.publish(&outlook, (sky.flight, calibration.version), newest);
     }
 
+    /// Where each camera will see the ball. An eye that has not read the last word is told with the next estimate.
+    fn tell_eyes(&self, calibration: &Calibration, epochs: &Epochs, flight: &SolvedFlight) {
+        for (camera, path) in foreseen_paths(calibration, flight) {
+            if let (Some(eye), Some(clock_epoch)) = (self.eyes.get(&camera), epochs.get(&camera)) {
+                let clock_epoch = *clock_epoch;
+                let _ = eye.try_send(ForeseenBall { clock_epoch, path });
+            }
+        }
+    }
+
     fn publish(&self, outlook: &Outlook, (flight, version): (u32, u32), newest_ns: i64) {
+        let Some(lines) = &self.lines else { return };
         let Some(line) = in_flight_line(outlook, flight, version) else {
             return;
         };
-        if self.lines.try_send(line).is_err() {
+        if lines.try_send(line).is_err() {
             self.health.lines_dropped.fetch_add(1, Ordering::Relaxed);
         }
         self.health.estimates.fetch_add(1, Ordering::Relaxed);
         self.health.estimate_age.add_since_ns(outlook.time_ns);
         self.health.estimate_latency.add_since_ns(newest_ns);
     }
-}
-
-/// Paths that may be of one ball, at most one a camera: all cameras together first, most points first.
-fn combinations(calibration: &Calibration, flights: &[&Track]) -> Vec<Vec<Track>> {
-    let end = |track: &Track| -> Option<TrueMidpoint> {
-        let last = track.points.last()?;
-        let timing = calibration.camera(&track.camera)?.timing();
-        Some(timing.true_midpoint(last.stamped, last.pixel.y))
-    };
-    let cameras = calibration.cameras.iter().map(CameraModel::from_calibration);
-    let cameras: BTreeMap<CameraId, CameraModel> = cameras.map(|c| (c.id.clone(), c)).collect();
-    // A look at three instants; a flight that two players' limbs make is dear to refuse.
-    let are_one = |one: &Track, other: &Track| {
-        let pair = cameras.get(&one.camera).zip(cameras.get(&other.camera));
-        pair.is_some_and(|(a, b)| may_be_one_pitch((a, one), (b, other)))
-    };
-    let mut sets: Vec<Vec<(&Track, TrueMidpoint)>> = vec![Vec::new()];
-    for track in flights {
-        let Some(ends) = end(track) else { continue };
-        let fits = |set: &&Vec<(&Track, TrueMidpoint)>| {
-            set.iter().all(|(other, other_ends)| {
-                other.camera != track.camera
-                    && ends.seconds_since(other_ends.nanos()).abs() < TOGETHER_S
-                    && are_one(other, track)
-            })
-        };
-        let longer: Vec<_> = sets
-            .iter()
-            .filter(fits)
-            .map(|set| [set.as_slice(), &[(*track, ends)]].concat())
-            .take(COMBINATIONS_MAX.saturating_sub(sets.len()))
-            .collect();
-        sets.extend(longer);
-    }
-    sets.retain(|set| set.len() > 1);
-    let points = |set: &[(&Track, TrueMidpoint)]| set.iter().map(|(t, _)| t.points.len()).sum::<usize>();
-    sets.sort_by_key(|set| std::cmp::Reverse((set.len(), points(set))));
-    sets.into_iter()
-        .map(|set| set.into_iter().map(|(track, _)| track.clone()).collect())
-        .collect()
 }

@@ -5,7 +5,7 @@
 //! cap-<id> ─(1)─► eye-<id> ─(2)─► look-<id> ─┼─(3)─► assemble ─(6)─► publish ─(7)─► print
 //!     …             │   ▲──(12)──   …        ┘        │   ▲  │          (16)          ▲
 //!                  (13)                              (4) (5) └───(8)───► keep       (15)
-//!                   ▼                                 ▼   │                          │
+//!                   ▼ ▲(17)                           ▼   │                          │
 //!                foresee ◄──────────────(14)──── calibrate ; assemble            foresee
 //!
 //! cap-<id> ─(9)─► record ─(10)─► disk ─► recordings/        assemble ─(11)─► record
@@ -24,6 +24,7 @@
 //! | | | balls to cut out | (11) 16 | the clip is lost, logged as an error |
 //! | `calibrate` | requests | answers | (5) 1 answer | waits |
 //! | `foresee` | balls in flight | estimates, as lines | (15) 8 lines | the line is dropped, counted |
+//! | | | where each camera will see the ball, to its eye | (17) 1 | it is dropped: the next comes in 10 ms |
 //! | `publish` | pitches | lines | (7) 64 lines | the line is dropped, counted |
 //! | | | pitches and tracks, for the files | (16) 256 | they are not in the files, logged as an error |
 //! | `keep` | (8), (16) | files | – | blocks alone: a disk that stands still delays no pitch |
@@ -137,7 +138,7 @@ pub fn start(
     let record = start_recorder(config, &recorder, (&mut threads, &mut record_configs))?;
     let mut health = Vec::new();
     let network = PtpDomain::default();
-    let (mut captures, mut trackers) = (Vec::new(), BTreeMap::new());
+    let (mut captures, mut trackers, mut eyes) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
     for connection in &config.cameras {
         let options = live_options(config, connection, &rig, &network)?;
         let own = Arc::new(CameraHealth::new(connection.id.clone()));
@@ -160,10 +161,13 @@ pub fn start(
         let mut eye = outfit::eye_of(&rig, &connection.id, calibration.as_ref());
         eye.detector.kind = config.detector;
         trackers.insert(connection.id.clone(), eye.tracker.clone());
+        let (foreseen_in, foreseen) = bounded(1);
+        eyes.insert(connection.id.clone(), foreseen_in);
         let channels = EyeChannels {
             look: look_in,
-            in_flight: config.in_flight.then(|| news_in.clone()),
+            in_flight: news_in.clone(),
             steps,
+            foreseen,
         };
         let (eye_health, second_eye) = (own.clone(), eye.clone());
         let name = format!("eye-{}", connection.id);
@@ -181,7 +185,8 @@ pub fn start(
     let foresee = Foresee {
         rig: rig.clone(),
         trackers,
-        lines: estimates_in,
+        eyes,
+        lines: config.in_flight.then_some(estimates_in),
         health: published.clone(),
     };
     let priorities = config.cameras.iter().map(|c| c.realtime_priority);

@@ -1,14 +1,15 @@
 //! Frames to 2-D tracks, every camera on its own thread: the first half of the pipeline.
 //!
-//! A camera shares nothing with the others, so there is no queue to fill: each thread pulls its source as
-//! fast as it may (or at the pace asked for) and keeps its tracks until the source ends.
+//! There is no queue to fill: each thread pulls its source as fast as it may (or at the pace asked for) and keeps its tracks
+//! until the source ends. Cameras share nothing, or, where a calibration is known, what they see of a ball in flight.
 
 use std::time::{Duration, Instant};
 
+use super::lockstep::{Lockstep, Seat};
 use crate::capture::{FrameGeometry, FrameSource};
 use crate::detection::DetectorCounters;
 use crate::eye::{CameraEye, EyeConfig};
-use crate::scene::{CameraId, Frame, Track};
+use crate::scene::{Calibration, CameraId, Frame, Rig, Track, WorldFrame};
 use crate::tracking::TrackerCounters;
 
 /// How fast a recording is played.
@@ -42,24 +43,33 @@ pub struct Watched {
 /// Reasons kept per camera; the rest is counted.
 const REASONS_KEPT: usize = 5;
 
-/// Runs every source to its end, one thread a camera, with the settings that `eye` gives for it.
+/// Runs every source to its end, one thread a camera, with the settings that `eye` gives for it. With a calibration known
+/// before, what some cameras see of a ball in flight tells the others where to look.
 ///
 /// `on_frame` is called after each frame, on any thread.
 pub fn watch_all(
     sources: Vec<Box<dyn FrameSource>>,
     eye: &(dyn Fn(&CameraId) -> EyeConfig + Sync),
     pace: Pace,
+    known: Option<(&Rig, &Calibration)>,
     on_frame: &(dyn Fn() + Sync),
 ) -> Vec<Watched> {
+    let cameras: Vec<CameraId> = sources.iter().map(|source| source.camera().clone()).collect();
+    let lockstep = known
+        .filter(|(_, calibration)| calibration.world == WorldFrame::HomePlate)
+        .map(|(rig, calibration)| Lockstep::new(rig, calibration, &cameras));
+    let lockstep = lockstep.as_ref();
     std::thread::scope(|scope| {
         let threads: Vec<_> = sources
             .into_iter()
             .map(|source| {
                 let camera = source.camera().clone();
+                let config = eye(&camera);
+                let seat = lockstep.and_then(|lockstep| lockstep.seat(&camera, &config.tracker));
                 let thread = std::thread::Builder::new().name(format!("watch-{camera}"));
                 (
                     camera,
-                    thread.spawn_scoped(scope, move || watch(source, eye, pace, on_frame)),
+                    thread.spawn_scoped(scope, move || watch(source, config, (pace, seat), on_frame)),
                 )
             })
             .collect();
@@ -89,13 +99,13 @@ fn lost(camera: CameraId, reason: String) -> Watched {
 
 fn watch(
     source: Box<dyn FrameSource>,
-    eye: &(dyn Fn(&CameraId) -> EyeConfig + Sync),
-    pace: Pace,
+    config: EyeConfig,
+    (pace, mut seat): (Pace, Option<Seat<'_>>),
     on_frame: &(dyn Fn() + Sync),
 ) -> Watched {
     let FrameGeometry { width_px, height_px } = source.geometry();
     let camera = source.camera().clone();
-    let mut eye = CameraEye::new(camera.clone(), eye(&camera), width_px, height_px);
+    let mut eye = CameraEye::new(camera.clone(), config, width_px, height_px);
     let mut watched = lost(camera.clone(), String::new());
     watched.reasons.clear();
     let mut clock = Paced::new(pace);
@@ -115,11 +125,15 @@ fn watch(
             }
         };
         clock.wait_for(&frame);
+        if let Some(seat) = &mut seat {
+            seat.before(frame.stamp.stamped, &mut eye);
+        }
         match eye.push(&frame) {
             Ok(()) => watched.frames += 1,
             Err(error) => refuse(&mut watched, error.to_string()),
         }
     }
+    drop(seat);
     eye.finish();
     watched.tracks.extend(eye.drain_pitches());
     // Numbers within a camera are those of its pitches, in time order.

@@ -8,7 +8,7 @@ use std::sync::atomic::Ordering;
 
 use crossbeam_channel::{Receiver, Sender};
 
-use super::foresee::InFlight;
+use super::foresee::{ForeseenBall, InFlight};
 use super::health::CameraHealth;
 use super::looker::{BallToLookAt, ToLook};
 use crate::capture::aravis::LiveFrame;
@@ -20,10 +20,12 @@ use crate::tracking::OpenPath;
 pub struct EyeChannels {
     /// Ended balls, to this camera's second look.
     pub look: Sender<ToLook>,
-    /// Balls in flight; `None` where nobody asks.
-    pub in_flight: Option<Sender<InFlight>>,
+    /// Balls in flight.
+    pub in_flight: Sender<InFlight>,
     /// What the second look has found of this camera's balls.
     pub steps: Receiver<BallStep>,
+    /// Where this camera will see a ball in flight.
+    pub foreseen: Receiver<ForeseenBall>,
 }
 
 /// Places in the queue to the second look that are kept for balls: news of how far has been watched may be missed.
@@ -94,6 +96,11 @@ impl Watcher<'_> {
         for step in self.channels.steps.try_iter() {
             eye.adapt(step);
         }
+        for ball in self.channels.foreseen.try_iter() {
+            if ball.clock_epoch == live.clock_epoch {
+                eye.foresee(ball.path);
+            }
+        }
         match eye.push_raw(frame) {
             Ok(()) => self.health.processed.fetch_add(1, Ordering::Relaxed),
             Err(error) => {
@@ -140,20 +147,12 @@ impl Watcher<'_> {
         let Some((eye, clock_epoch)) = &self.watching else {
             return;
         };
-        let Some(in_flight) = self
-            .channels
-            .in_flight
-            .as_ref()
-            .filter(|_| self.stamp_sigma_s <= STAMP_SIGMA_MAX_S)
-        else {
-            return;
-        };
-        if paths.is_empty() && !self.in_flight {
+        if self.stamp_sigma_s > STAMP_SIGMA_MAX_S || paths.is_empty() && !self.in_flight {
             return;
         }
         self.in_flight = !paths.is_empty();
         // A queue that is full holds news older than this frame's: the next frame tells again.
-        let _ = in_flight.try_send(InFlight {
+        let _ = self.channels.in_flight.try_send(InFlight {
             camera: self.health.camera.clone(),
             clock_epoch: *clock_epoch,
             arrived: self.last_arrival,

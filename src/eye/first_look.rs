@@ -4,7 +4,7 @@ use nalgebra::Vector2;
 
 use super::EyeConfig;
 use crate::detection::{Answers, ChosenDetector, CutOuts, DetectionError, DetectorCounters, ExpectedBall};
-use crate::scene::{CameraId, Detection, Frame, FrameStamp, RawFrame};
+use crate::scene::{CameraId, Detection, ForeseenPath, ForeseenPlace, Frame, FrameStamp, RawFrame};
 use crate::tracking::{OpenPath, TrackKind, TrackedBall, Tracker, TrackerCounters};
 
 /// A ball that was missed in so many frames has most likely ended; the path is given up after some more.
@@ -12,6 +12,10 @@ const ENDING_FRAMES: f64 = 3.0;
 
 /// A ball that flies is told of when it has been seen this often, and again every so many times.
 const FLYING_POINTS: (usize, usize) = (48, 16);
+
+/// A foreseen ball is no further off than so many of its sigmas, and so many pixels more: calibrations and the light.
+const FORESEEN_SIGMAS: f64 = 3.0;
+const FORESEEN_BEYOND_PX: f64 = 1.5;
 
 /// A ball whose path has ended, with the cut-outs of its points if it may be a pitch.
 pub struct EndedBall {
@@ -51,13 +55,16 @@ pub struct FirstLook {
     tracker: Tracker,
     /// See [`BallStep::off_light_px`].
     off_light_px: Vector2<f64>,
+    /// Where the flight that all cameras see puts a ball in this one's picture.
+    foreseen: Option<ForeseenPath>,
     /// Newest frame of the balls in flight that were told of.
     flying_told: Option<u64>,
     ended: Vec<EndedBall>,
 }
 
-/// The tracker as the detector sees it: it takes candidates and says where to look for weak ones.
-struct Guided<'a>(&'a mut Tracker);
+/// The tracker as the detector sees it: it takes candidates and says where to look for weak ones. So does the flight
+/// that other cameras see.
+struct Guided<'a>(&'a mut Tracker, Option<&'a ForeseenPath>);
 
 impl Answers for Guided<'_> {
     fn expect(&mut self, stamp: FrameStamp, expected: &mut Vec<ExpectedBall>) {
@@ -67,6 +74,14 @@ impl Answers for Guided<'_> {
             reach_px,
             radius_px,
         }));
+        let Some(foreseen) = self.1.and_then(|path| path.at(stamp.stamped)) else {
+            return;
+        };
+        // A path of this camera that leads there knows it better.
+        let off_px = |own: &ExpectedBall| (own.centre.vector() - foreseen.centre.vector()).norm();
+        if expected.iter().all(|own| off_px(own) > own.reach_px) {
+            expected.insert(0, expected_at(&foreseen));
+        }
     }
 
     fn answer(&mut self, stamp: FrameStamp, detections: &[Detection]) {
@@ -88,6 +103,14 @@ impl Answers for Guided<'_> {
     }
 }
 
+fn expected_at(place: &ForeseenPlace) -> ExpectedBall {
+    ExpectedBall {
+        centre: place.centre,
+        reach_px: FORESEEN_SIGMAS * place.sigma_px + FORESEEN_BEYOND_PX,
+        radius_px: place.radius_px,
+    }
+}
+
 impl FirstLook {
     /// For frames of this size.
     pub fn new(camera: CameraId, config: &EyeConfig, width_px: u32, height_px: u32) -> Self {
@@ -96,6 +119,7 @@ impl FirstLook {
             tracker: Tracker::new(camera.clone(), config.tracker.clone()),
             camera,
             off_light_px: Vector2::zeros(),
+            foreseen: None,
             flying_told: None,
             ended: Vec::new(),
         }
@@ -106,7 +130,8 @@ impl FirstLook {
     /// # Errors
     /// A frame of another size.
     pub fn push(&mut self, frame: &Frame) -> Result<(), DetectionError> {
-        let result = self.detector.detect(frame, &mut Guided(&mut self.tracker));
+        let mut guided = Guided(&mut self.tracker, self.foreseen.as_ref());
+        let result = self.detector.detect(frame, &mut guided);
         self.keep_ended();
         result
     }
@@ -116,7 +141,8 @@ impl FirstLook {
     /// # Errors
     /// A frame of another size.
     pub fn push_raw(&mut self, raw: &RawFrame) -> Result<(), DetectionError> {
-        let result = self.detector.detect_raw(raw, &mut Guided(&mut self.tracker));
+        let mut guided = Guided(&mut self.tracker, self.foreseen.as_ref());
+        let result = self.detector.detect_raw(raw, &mut guided);
         self.keep_ended();
         result
     }
@@ -128,7 +154,8 @@ impl FirstLook {
 
     /// Ends the recording: what was still open is decided.
     pub fn finish(&mut self) {
-        self.detector.flush(&mut Guided(&mut self.tracker));
+        let mut guided = Guided(&mut self.tracker, self.foreseen.as_ref());
+        self.detector.flush(&mut guided);
         let balls = self.tracker.finish();
         self.keep(balls);
     }
@@ -193,6 +220,12 @@ impl FirstLook {
     pub fn adapt(&mut self, ball: BallStep) {
         self.off_light_px = ball.off_light_px;
         self.detector.adapt_lag(ball.step_px, ball.length_px);
+    }
+
+    /// Takes the way of a ball through this camera's picture, by the flight that other cameras see too: weak candidates
+    /// there are accepted. It replaces the one before.
+    pub fn foresee(&mut self, path: ForeseenPath) {
+        self.foreseen = Some(path);
     }
 
     /// What is to be added to the centres of balls in flight, by the last ball that was fitted, pixels.

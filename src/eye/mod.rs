@@ -10,9 +10,11 @@ mod second_look;
 pub use first_look::{BallStep, EndedBall, FirstLook, FlyingBall};
 pub use second_look::SecondLook;
 
+use nalgebra::Vector2;
+
 use crate::detection::{DetectionError, DetectorConfig, DetectorCounters};
-use crate::scene::{CameraId, Frame, Rig, Track};
-use crate::tracking::{TrackedBall, TrackerConfig, TrackerCounters};
+use crate::scene::{CameraId, ForeseenPath, Frame, Rig, Track};
+use crate::tracking::{OpenPath, TrackedBall, TrackerConfig, TrackerCounters};
 
 /// Settings of an eye.
 #[derive(Debug, Clone, Default)]
@@ -64,6 +66,16 @@ impl CameraEye {
         let result = self.first.push(frame);
         self.look_again();
         result
+    }
+
+    /// The likeliest balls in flight, and what is to be added to their centres, pixels.
+    pub fn open(&self) -> (Vec<OpenPath>, Vector2<f64>) {
+        (self.first.open(), self.first.off_light_px())
+    }
+
+    /// See [`FirstLook::foresee`].
+    pub fn foresee(&mut self, path: ForeseenPath) {
+        self.first.foresee(path);
     }
 
     /// Ends the recording: what was still open is decided.

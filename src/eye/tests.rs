@@ -363,3 +363,86 @@ fn a_rig_s_mask_hides_a_ball_and_its_region_holds_it() {
     assert_eq!(found(vec![], vec![rect(0, 64, 640, 112)]), 0);
     assert_eq!(found(vec![rect(0, 0, 640, 64)], vec![]), 0);
 }
+
+/// A ball that hardly differs from what is behind it, in the frames of a camera with too short an exposure; darker than that or
+/// brighter, by so many levels at its rim in shade and in full light.
+fn weak_frames(shade: f64, light: f64) -> impl Iterator<Item = crate::scene::Frame> {
+    let mut stand = Canvas::stand(640, 240, 3, 40.0);
+    stand.light.iter_mut().for_each(|v| *v = 50.0 + 0.1 * (*v - 70.0));
+    (0..100u64).map(move |number| {
+        let mut canvas = stand.clone();
+        if (10..70).contains(&number) {
+            canvas.ball(&Ball {
+                shade: 50.0 + shade,
+                light: 50.0 + light,
+                ..ball(number as f64 - 10.0)
+            });
+        }
+        canvas.frame(number, 175.0, 1.5)
+    })
+}
+
+/// Where other cameras say that the ball is, 0.6 px off.
+fn told() -> ForeseenPath {
+    let places = (0..130).map(|half| {
+        let frame = 10.0 + 0.5 * f64::from(half);
+        let [x, y] = flight(frame - 10.0);
+        crate::scene::ForeseenPlace {
+            stamped: crate::time::StampedMidpoint::from_seconds_since(1_000_000_000, frame / 175.0),
+            centre: crate::geometry::Pixel::new(x + 0.4, y - 0.4),
+            sigma_px: 0.6,
+            radius_px: 2.6,
+        }
+    });
+    ForeseenPath::new(places.collect())
+}
+
+/// The pitches that an eye finds which is told of a ball with this frame.
+fn pitches_told(frames: impl Iterator<Item = crate::scene::Frame>, told_with: Option<u64>) -> Vec<Track> {
+    let mut eye = CameraEye::new(CameraId::new("side").unwrap(), EyeConfig::default(), 640, 240);
+    for frame in frames {
+        if told_with == Some(frame.stamp.frame) {
+            eye.foresee(told());
+        }
+        eye.push(&frame).unwrap();
+    }
+    eye.finish();
+    let pitches = eye.drain_balls().into_iter();
+    let pitches = pitches.filter(|ball| ball.kind == TrackKind::Pitch);
+    pitches.map(|ball| ball.track).collect()
+}
+
+#[test]
+fn a_ball_that_a_camera_hardly_sees_is_found_where_the_others_see_it() {
+    for (shade, light, rms_px) in [(1.0, 9.0, 0.3), (4.0, 9.0, 0.3), (-8.0, -3.0, 1.0)] {
+        let case = format!("{shade} to {light} levels");
+        let count = |tracks: &[Track]| tracks.iter().map(|t| t.points.len()).sum::<usize>();
+        let alone = pitches_told(weak_frames(shade, light), None);
+        let pitches = pitches_told(weak_frames(shade, light), Some(20));
+        println!("{case}: {} and {} of 60", count(&alone), count(&pitches));
+        assert!(count(&alone) < 25, "{case} is seen without help");
+        assert_eq!(pitches.len(), 1, "{case}");
+        let score = Score::of(&pitches[0].points, |frame| flight(frame as f64 - 10.0));
+        println!("from frame {}: {score:?}", pitches[0].points[0].frame);
+        assert!(score.points >= 30 && score.rms_px < rms_px, "{case}: {score:?}");
+    }
+}
+
+#[test]
+fn what_others_see_is_no_ball_where_there_is_none() {
+    let stand = Canvas::stand(640, 240, 3, 40.0);
+    let empty = (0..100u64).map(|number| stand.frame(number, 175.0, 2.0));
+    assert!(pitches_told(empty, Some(9)).is_empty());
+    // Nor where something moves: a crowd that flickers all along the way, a player who walks across it.
+    let player = Canvas::stand(120, 150, 9, 60.0);
+    let flickering = (0..100u64).map(|number| {
+        let other = Canvas::stand(640, 240, number, 12.0);
+        let mut canvas = stand.clone();
+        for (light, other) in canvas.light.iter_mut().zip(&other.light) {
+            *light += 0.4 * (*other - *light);
+        }
+        canvas.paste(&player, 200.0 + 1.3 * number as f64, 60.0);
+        canvas.frame(number, 175.0, 2.0)
+    });
+    assert!(pitches_told(flickering, Some(9)).is_empty());
+}

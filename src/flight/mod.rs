@@ -3,10 +3,11 @@
 //! `physics` (forces) → `trajectory` (path and its prior) → `sighting` (a point against a path) →
 //! `equations` (normal equations) → `start`, `solve` (one pitch with a known calibration) → `outcome`
 //! → `pitch`; beside them the numbers and views of a solved flight: `numbers`, `nine_parameter`, `zone`, and
-//! what a ball still in flight will do: `outlook`.
+//! what a ball still in flight will do: `outlook`, `foresight`.
 
 pub mod equations;
 mod error;
+mod foresight;
 mod gate;
 mod nine_parameter;
 mod numbers;
@@ -27,6 +28,7 @@ pub mod trajectory;
 mod zone;
 
 pub use error::FlightError;
+pub use foresight::foresee;
 pub use nine_parameter::{
     FOOT_M, MPH_MPS, Movement, NineParameter, PLATE_FRONT_Y_FT, PLATE_MIDDLE_Y_FT, REFERENCE_Y_FT,
     STATCAST_GRAVITY_FTPS2,
@@ -36,7 +38,7 @@ pub use numbers::{
     nine_parameter_view, position_sigma_m, speed_at, state_at_plane,
 };
 pub use outcome::{SolvedFlight, TrackFit};
-pub use outlook::{OutlookError, look_ahead};
+pub use outlook::{OutlookError, flight_so_far, outlook_of};
 pub use physics::{Aerodynamics, Physics};
 pub use pitch::{PitchOptions, flight_samples, is_far_off, pitch_from_flight};
 pub use residuals::{PointResidual, residuals};

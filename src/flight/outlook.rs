@@ -3,7 +3,7 @@
 //! It is the flight of [`super::solve`], with the points that are there so far: the prior of drag and lift says how the
 //! rest goes, and its width is in the sigma.
 
-use super::numbers::{NumbersError, PLATE_FRONT_Y_M, position_sigma_m, state_at_plane};
+use super::numbers::{NumbersError, PLATE_FRONT_Y_M, PlaneState, position_sigma_m, state_at_plane};
 use super::solve::{FlightOptions, solve_flight};
 use super::{FlightError, SolvedFlight};
 use crate::scene::{Calibration, Outlook, Track};
@@ -41,21 +41,30 @@ pub enum OutlookError {
     },
 }
 
-/// The outlook of the ball of these tracks.
+/// The flight of the pitched ball of these tracks, as far as it is seen.
 ///
 /// # Errors
 /// [`OutlookError`]; the next frames may mend it.
-pub fn look_ahead(
+pub fn flight_so_far(
     calibration: &Calibration,
     tracks: &[Track],
     options: &FlightOptions,
-) -> Result<Outlook, OutlookError> {
+) -> Result<SolvedFlight, OutlookError> {
     let solved = solve_flight(calibration, tracks, options)?;
+    let plate = plate_of(&solved)?;
+    plausible(&solved, plate.position_m.x, plate.position_m.z)?;
+    Ok(solved)
+}
+
+/// Where a ball in flight is, and where it will cross the plate.
+///
+/// # Errors
+/// [`OutlookError`]; the next frames may mend it.
+pub fn outlook_of(solved: &SolvedFlight) -> Result<Outlook, OutlookError> {
     let (path, covariance) = (&solved.trajectory, &solved.covariance);
-    let plate = state_at_plane(path, covariance, (PLATE_FRONT_Y_M, "front of the plate"))?;
+    let plate = plate_of(solved)?;
     let now_s = solved.observed_s.1;
     let position = path.position_m(now_s);
-    plausible(&solved, plate.position_m.x, plate.position_m.z)?;
     let sigma_m = [plate.sigma(0), plate.sigma(2)];
     let worst = sigma_m[0].max(sigma_m[1]);
     if !(worst < SIGMA_MAX_M) {
@@ -75,6 +84,14 @@ pub fn look_ahead(
         plate_front_sigma_m: sigma_m,
         plate_speed_mps: plate.speed_mps,
     })
+}
+
+fn plate_of(solved: &SolvedFlight) -> Result<PlaneState, NumbersError> {
+    state_at_plane(
+        &solved.trajectory,
+        &solved.covariance,
+        (PLATE_FRONT_Y_M, "front of the plate"),
+    )
 }
 
 /// Whether the tracks are of one ball, and that ball is pitched.
@@ -151,12 +168,9 @@ mod tests {
             })
             .collect();
         let begun = std::time::Instant::now();
-        let outlook = look_ahead(
-            &calibration(&cameras),
-            &tracks,
-            &FlightOptions::default().in_flight(),
-        )
-        .unwrap();
+        let options = FlightOptions::default().in_flight();
+        let solved = flight_so_far(&calibration(&cameras), &tracks, &options).unwrap();
+        let outlook = outlook_of(&solved).unwrap();
         let took = begun.elapsed();
         let off = [
             outlook.plate_front_m[0] - plate.x,

@@ -115,4 +115,15 @@ impl CameraTiming {
         let base = stamped.nanos();
         TrueMidpoint::from_seconds_since(base, self.true_seconds(stamped, row_px, base))
     }
+
+    /// The stamp of what was exposed in row `row_px` at this instant: the inverse of [`Self::true_midpoint`].
+    pub fn stamped_midpoint(&self, at: TrueMidpoint, row_px: f64) -> StampedMidpoint {
+        let mut stamped = StampedMidpoint::from_nanos(at.nanos());
+        // What is off after a step is off by parts per million after the next.
+        for _ in 0..3 {
+            let early_s = -self.true_seconds(stamped, row_px, at.nanos());
+            stamped = StampedMidpoint::from_seconds_since(stamped.nanos(), early_s);
+        }
+        stamped
+    }
 }
