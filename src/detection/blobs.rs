@@ -6,7 +6,7 @@ use std::ops::Range;
 
 use nalgebra::Vector2;
 
-use super::dispatch::Kernels;
+use super::dispatch::{Kernels, fetch_ahead};
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::regions::RegionNoise;
 use super::tiles::TileMap;
@@ -14,12 +14,14 @@ use super::tiles::TileMap;
 /// Most runs of changed pixels kept for one frame.
 const RUNS_MAX: usize = 16_384;
 /// Blobs this near become one, if the result is no larger than this and the frame holds no more than so many.
-const JOIN_GAP_PX: usize = 2;
-const JOINED_SIDE_PX: usize = 26;
+const JOIN_GAP_PX: u32 = 2;
+const JOINED_SIDE_PX: u32 = 26;
 const JOINED_BLOBS_MAX: usize = 400;
 /// Of a blob with a longer side one run in so many is read.
 pub const LARGE_SIDE_PX: usize = 48;
 const LARGE_SHARE: usize = 4;
+/// The memory of so many tiles is asked for ahead.
+const TILES_AHEAD_MAX: usize = 64;
 /// Pixels that may be missing between two runs of one blob.
 const GAP_PX: usize = 1;
 
@@ -95,10 +97,34 @@ pub struct BlobFinder {
     masks: Vec<[u64; TILE_HEIGHT_PX]>,
     runs: Vec<Run>,
     blob_of_run: Vec<usize>,
+    extents: Vec<Extent>,
     /// The blobs of the last search.
     pub blobs: Vec<Blob>,
     /// Whether the last search ran out of runs.
     pub overflowed: bool,
+}
+
+/// A blob's first and last column, first and last row: all that many of them are sifted by.
+#[derive(Debug, Clone, Copy)]
+struct Extent([u32; 4]);
+
+impl Extent {
+    /// No other is near this one.
+    const NONE: Self = Self([u32::MAX - JOIN_GAP_PX, 0, 0, 0]);
+
+    /// Whether both are within [`JOIN_GAP_PX`] of each other.
+    fn is_near(&self, other: &Self) -> bool {
+        let ([left, right, top, bottom], [o_left, o_right, o_top, o_bottom]) = (self.0, other.0);
+        let by_columns = (left <= o_right + JOIN_GAP_PX) & (o_left <= right + JOIN_GAP_PX);
+        by_columns & (top <= o_bottom + JOIN_GAP_PX) & (o_top <= bottom + JOIN_GAP_PX)
+    }
+
+    /// Whether both together are no larger than [`JOINED_SIDE_PX`].
+    fn fits_with(&self, other: &Self) -> bool {
+        let ([left, right, top, bottom], [o_left, o_right, o_top, o_bottom]) = (self.0, other.0);
+        right.max(o_right) - left.min(o_left) < JOINED_SIDE_PX
+            && bottom.max(o_bottom) - top.min(o_top) < JOINED_SIDE_PX
+    }
 }
 
 impl Blob {
@@ -119,14 +145,8 @@ impl Blob {
             / (f64::from(self.difference_sigma.max(0.5)) * (self.area_px.max(1) as f64).sqrt())
     }
 
-    /// Whether the boxes are within `gap` pixels of each other and both together no larger than `side`.
-    fn belongs_to(&self, other: &Blob, gap: usize, side: usize) -> bool {
-        let near = self.left <= other.right + gap
-            && other.left <= self.right + gap
-            && self.top <= other.bottom + gap
-            && other.top <= self.bottom + gap;
-        near && self.right.max(other.right) - self.left.min(other.left) < side
-            && self.bottom.max(other.bottom) - self.top.min(other.top) < side
+    fn extent(&self) -> Extent {
+        Extent([self.left, self.right, self.top, self.bottom].map(|place| place as u32))
     }
 
     fn join(&mut self, other: &Blob) {
@@ -150,32 +170,34 @@ impl BlobFinder {
             return;
         }
         self.blobs.sort_unstable_by_key(|blob| (blob.top, blob.left));
-        let mut index = 0;
-        while let Some(mut blob) = self.blobs.get(index).copied() {
-            let mut next = index + 1;
-            while let Some(other) = self.blobs.get(next).copied() {
-                if other.top > blob.bottom + JOIN_GAP_PX {
-                    break;
+        self.extents.clear();
+        self.extents.extend(self.blobs.iter().map(Blob::extent));
+        for index in 0..self.blobs.len() {
+            let Some(mut blob) = self.blobs.get(index).copied().filter(|blob| blob.area_px > 0) else {
+                continue;
+            };
+            while let Some(next) = self.next_to(index, blob.extent()) {
+                if let (Some(taken), Some(extent)) = (self.blobs.get_mut(next), self.extents.get_mut(next)) {
+                    blob.join(taken);
+                    taken.area_px = 0;
+                    *extent = Extent::NONE;
                 }
-                if blob.area_px > 0
-                    && other.area_px > 0
-                    && blob.belongs_to(&other, JOIN_GAP_PX, JOINED_SIDE_PX)
-                {
-                    blob.join(&other);
-                    if let Some(taken) = self.blobs.get_mut(next) {
-                        taken.area_px = 0;
-                    }
-                    // What it has grown over may belong to it now.
-                    next = index;
-                }
-                next += 1;
             }
             if let Some(slot) = self.blobs.get_mut(index) {
                 *slot = blob;
             }
-            index += 1;
         }
         self.blobs.retain(|blob| blob.area_px > 0);
+    }
+
+    /// The first blob after one that it is joined with.
+    fn next_to(&self, index: usize, extent: Extent) -> Option<usize> {
+        let bottom = extent.0[3] + JOIN_GAP_PX;
+        let later = self.extents.iter().enumerate().skip(index + 1);
+        let mut near = later
+            .take_while(|(_, other)| other.0[2] <= bottom)
+            .filter(|(_, other)| other.is_near(&extent) && other.fits_with(&extent));
+        near.next().map(|(next, _)| next)
     }
 
     /// Buffers for an image this wide.
@@ -187,8 +209,27 @@ impl BlobFinder {
             masks: Vec::with_capacity(tiles),
             runs: Vec::with_capacity(RUNS_MAX),
             blob_of_run: Vec::with_capacity(RUNS_MAX),
+            extents: Vec::with_capacity(JOINED_BLOBS_MAX),
             blobs: Vec::with_capacity(RUNS_MAX),
             overflowed: false,
+        }
+    }
+
+    /// Asks for the memory of tiles that are searched soon.
+    pub fn fetch_ahead(&self, images: &Images<'_>, tiles: &TileMap) {
+        let mut left = TILES_AHEAD_MAX;
+        for band in 0..images.height_px.div_ceil(TILE_HEIGHT_PX) {
+            for column in tiles.columns(band).take(left) {
+                left -= 1;
+                let begin = band * TILE_HEIGHT_PX * images.width_px + column * TILE_WIDTH_PX;
+                for row in 0..TILE_HEIGHT_PX {
+                    let at = begin + row * images.width_px;
+                    for image in [images.current, images.one, images.other] {
+                        fetch_ahead(image, at);
+                        fetch_ahead(image, at + TILE_WIDTH_PX - 1);
+                    }
+                }
+            }
         }
     }
 

@@ -203,18 +203,13 @@ impl Detector {
         check_size(frame, (self.width_px, self.height_px))?;
         self.begin(frame.stamp, answers);
         let mut changed = self.history.spare_map(self.width_px, self.height_px);
-        let previous = self.history.newest().map(|seen| seen.frame.clone());
-        if let Some(previous) = &previous {
-            let band_bytes = self.width_px * TILE_HEIGHT_PX;
-            let (now, before) = (
-                frame.bytes().chunks(band_bytes),
-                previous.bytes().chunks(band_bytes),
-            );
-            for (band, pixels) in now.zip(before).enumerate() {
-                self.scan_band(band, pixels, &mut changed);
-            }
+        let previous = self.history.newest();
+        let compared = previous.is_some();
+        if let Some(previous) = previous {
+            let pixels = (frame.bytes(), previous.frame.bytes());
+            self.scan.bands(0, self.counters.frames, pixels, &mut changed);
         }
-        self.take(frame.clone(), previous.is_some().then_some(changed), answers);
+        self.take(frame.clone(), compared.then_some(changed), answers);
         Ok(())
     }
 
@@ -290,7 +285,7 @@ impl Detector {
         self.next_lag = (frames as usize).clamp(1, self.config.lag_frames_max.max(1));
     }
 
-    /// A band of the frame and of the one before, read once: tiles that changed, and the noise of every region.
+    /// A band of the frame and of the one before, read once: tiles that changed, and the noise of its regions.
     pub(super) fn scan_band(
         &mut self,
         band: usize,
@@ -298,7 +293,7 @@ impl Detector {
         changed: &mut TileMap,
     ) {
         self.scan
-            .band(band, self.counters.frames, (current, before), changed);
+            .bands(band, self.counters.frames, (current, before), changed);
     }
 
     /// Decides the next frame.
@@ -344,6 +339,8 @@ impl Detector {
             ..images
         });
         if let Some(near) = &near {
+            self.bodies.find(&mut self.tiles, self.height_px);
+            self.blobs.fetch_ahead(&images, &self.tiles);
             self.look_before_bodies(near, stamp);
         }
         self.find_blobs(&images);
@@ -382,7 +379,6 @@ impl Detector {
 
     /// Spots in front of large bodies, where there are many; their tiles are not searched further.
     fn look_before_bodies(&mut self, near: &Images<'_>, stamp: FrameStamp) {
-        self.bodies.find(&mut self.tiles, self.height_px);
         for body in &self.bodies.large {
             let (band, column) = body.middle();
             let sigma = self.scan.noise.difference_sigma(band, column);

@@ -65,7 +65,7 @@ impl Edge {
     pub fn new(sigma_px: f64) -> Self {
         Self {
             sigma_px,
-            kernels: Kernels::new(Isa::widest()),
+            kernels: Kernels::new(Isa::detect()),
         }
     }
 }

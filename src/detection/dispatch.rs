@@ -19,18 +19,8 @@ pub enum Isa {
 }
 
 impl Isa {
-    /// The one to use: 32-byte vectors where there are any. The kernels are bound by memory, where 64-byte ones
-    /// measured no faster and up to 10 % slower.
+    /// The one to use: the widest. The scan waits for memory, and with fewer instructions the processor looks further ahead.
     pub fn detect() -> Self {
-        if Self::available().contains(&Self::Avx2) {
-            Self::Avx2
-        } else {
-            Self::Portable
-        }
-    }
-
-    /// The widest, for what is bound by arithmetic.
-    pub fn widest() -> Self {
         Self::available().last().copied().unwrap_or(Self::Portable)
     }
 
@@ -135,12 +125,12 @@ impl Kernels {
 dispatched!(
     kernel:
     /// See [`kernel::changed_tiles`].
-    changed_tiles(images: (&[u8], &[u8]), width: usize, limits: Limits<'_>, most: &mut [u8], hits: &mut [bool]) -> bool
+    changed_tiles(images: (&[u8], &[u8]), size: (usize, usize), limits: Limits<'_>, hits: &mut [u64])
 );
 dispatched!(
     kernel:
-    /// See [`kernel::clipped_change_sum`].
-    clipped_change_sum(current: &[u8], previous: &[u8], clip: u8) -> u32
+    /// See [`kernel::clipped_change_sums`].
+    clipped_change_sums(rows: (&[u8], &[u8]), length: usize, clips: &[u8], sums: &mut [u32])
 );
 dispatched!(
     kernel:

@@ -174,19 +174,42 @@ fn changes_within<const REACH: usize>(
     beyond::<REACH>(&levels, &widened::<REACH>(&range))
 }
 
-/// Asks for the memory of a tile that is looked at soon.
+/// Asks for the memory that [`rows_in_front`] reads of a tile, but for the rows above and below, which are of other tiles as
+/// a rule; of one that stands `beside` the tile asked for before, only what that one has not.
 #[inline(always)]
 pub fn fetch_tile(
     (current, one, other): (&[u8], &[u8], &[u8]),
     width_px: usize,
     (band, column): (usize, usize),
+    beside: bool,
 ) {
     let (top, left) = (band * TILE_HEIGHT_PX, column * TILE_WIDTH_PX);
-    for y in (top.saturating_sub(ROW_STEP)..=top + TILE_HEIGHT_PX).step_by(ROW_STEP) {
-        fetch_ahead(one, y * width_px + left);
-        fetch_ahead(other, y * width_px + left);
-        if (top..top + TILE_HEIGHT_PX).contains(&y) {
-            fetch_ahead(current, y * width_px + left);
+    for y in (top..top + TILE_HEIGHT_PX).step_by(ROW_STEP) {
+        for image in [current, one, other] {
+            let row = y * width_px;
+            if !beside {
+                fetch_ahead(image, (row + left).saturating_sub(REACH_MAX_PX));
+            }
+            fetch_ahead(image, row + left + TILE_WIDTH_PX + REACH_MAX_PX - 1);
+        }
+    }
+}
+
+/// Asks for the memory that [`row_in_front`] reads of these rows of a tile and [`rows_in_front`] has not.
+#[inline(always)]
+pub fn fetch_rows(
+    (one, other): (&[u8], &[u8]),
+    width_px: usize,
+    (band, column): (usize, usize),
+    (reach_px, rows): (usize, u8),
+) {
+    let (top, left) = (band * TILE_HEIGHT_PX, column * TILE_WIDTH_PX);
+    let first = top + ROW_STEP * rows.trailing_zeros() as usize;
+    let last = top + ROW_STEP * rows.checked_ilog2().unwrap_or(0) as usize;
+    for y in first.saturating_sub(reach_px)..=last + reach_px {
+        for image in [one, other] {
+            fetch_ahead(image, y * width_px + left);
+            fetch_ahead(image, y * width_px + left + TILE_WIDTH_PX - 1);
         }
     }
 }

@@ -14,14 +14,12 @@ proptest! {
         let (c, a, b) = (&bytes[..size], &bytes[size..2 * size], &bytes[2 * size..3 * size]);
         let run = |isa: Isa| {
             let kernels = Kernels::new(isa);
-            let mut tiles = vec![true; width.div_ceil(32)];
-            let mut most = vec![0; width];
             let limits = vec![threshold; width.div_ceil(32)];
             let limits = kernel::Limits { tiles: &limits, lowest: &limits };
-            if !kernels.changed_tiles((c, a), width, limits, &mut most, &mut tiles) {
-                tiles.fill(false);
-            }
-            assert!(most.iter().all(|most| *most == 0));
+            let mut hits = [0];
+            kernels.changed_tiles((c, a), (width, 1), limits, &mut hits);
+            let tiles: Vec<bool> = (0..width.div_ceil(32)).map(|tile| hits[0] >> tile & 1 != 0).collect();
+            assert_eq!(hits[0] >> tiles.len(), 0);
             let mut rows = [0; 8];
             kernels.tile_masks((c, a, b), (0, width, 32), threshold, &mut rows);
             let first: Vec<u64> = (0..8)
@@ -56,9 +54,14 @@ proptest! {
                 let by_hand = (run.iter().map(|v| u32::from(*v)).sum::<u32>(), *run.iter().max().unwrap());
                 assert_eq!(kernels.change_of_run((c, a, b), begin, length), by_hand);
             }
-            let both = (kernels.clipped_change_sum(c, a, clip), kernels.read_both(c, a));
-            let by_hand: u32 = c.iter().zip(a).map(|(c, a)| u32::from(c.abs_diff(*a).min(clip))).sum();
-            assert_eq!(both.0, by_hand);
+            let (clips, mut sums) = ([clip, clip / 2], [0; 2]);
+            kernels.clipped_change_sums((c, a), 5 * width, &clips, &mut sums);
+            let both = (sums, kernels.read_both(c, a));
+            let by_hand = |from: usize, to: usize, clip: u8| -> u32 {
+                let pairs = c[from..to].iter().zip(&a[from..to]);
+                pairs.map(|(c, a)| u32::from(c.abs_diff(*a).min(clip))).sum()
+            };
+            assert_eq!(sums, [by_hand(0, 5 * width, clip), by_hand(5 * width, size, clip / 2)]);
             (tiles, masks, both, sizes)
         };
         let portable = run(Isa::Portable);
@@ -77,10 +80,9 @@ proptest! {
 fn the_sum_of_a_long_row_of_the_largest_changes_fits() {
     for isa in Isa::available() {
         let (dark, bright) = (vec![0; 20_000], vec![255; 20_000]);
-        assert_eq!(
-            Kernels::new(*isa).clipped_change_sum(&bright, &dark, 255),
-            5_100_000
-        );
+        let mut sums = [0];
+        Kernels::new(*isa).clipped_change_sums((&bright, &dark), 20_000, &[255], &mut sums);
+        assert_eq!(sums, [5_100_000]);
     }
 }
 
@@ -104,11 +106,16 @@ fn wide_rows_have_segments_with_thresholds_of_their_own() {
         .chunks(kernel::SEGMENT_TILES)
         .map(|t| *t.iter().min().unwrap())
         .collect();
+    // Two bands of the same thresholds, the second cut short.
+    let (tiles, lowest) = (
+        [&thresholds[..], &thresholds].concat(),
+        [&lowest[..], &lowest].concat(),
+    );
     let limits = kernel::Limits {
-        tiles: &thresholds,
+        tiles: &tiles,
         lowest: &lowest,
     };
-    let previous = vec![100; 8 * width];
+    let previous = vec![100; 13 * width];
     let mut current = previous.clone();
     for (x, y, change) in [
         (5, 0, 20),
@@ -117,21 +124,20 @@ fn wide_rows_have_segments_with_thresholds_of_their_own() {
         (330, 3, 60),
         (700, 0, 21),
         (width - 1, 7, 21),
+        (40, 8, 20),
+        (100, 8, 21),
+        (290, 12, 91),
+        (width - 1, 12, 21),
     ] {
         current[y * width + x] += change;
     }
     for isa in Isa::available() {
-        let (mut most, mut hits) = (vec![0; width], vec![true; tiles]);
-        assert!(Kernels::new(*isa).changed_tiles((&current, &previous), width, limits, &mut most, &mut hits));
-        let hit: Vec<usize> = (0..tiles).filter(|t| hits[*t]).collect();
-        assert_eq!(hit, [1, 10, 21, 25], "{isa:?}");
-        assert!(most.iter().all(|most| *most == 0));
-        assert!(!Kernels::new(*isa).changed_tiles(
-            (&previous, &previous),
-            width,
-            limits,
-            &mut most,
-            &mut hits
-        ));
+        let mut hits = [0; 2];
+        Kernels::new(*isa).changed_tiles((&current, &previous), (width, 2), limits, &mut hits);
+        let hit = hits.map(|word: u64| (0..64).filter(|tile| word >> tile & 1 != 0).collect::<Vec<_>>());
+        assert_eq!(hit, [vec![1, 10, 21, 25], vec![3, 9, 25]], "{isa:?}");
+        let mut none = [0; 2];
+        Kernels::new(*isa).changed_tiles((&previous, &previous), (width, 2), limits, &mut none);
+        assert_eq!(none, [0; 2]);
     }
 }

@@ -11,7 +11,7 @@ use nalgebra::Vector2;
 use super::blobs::{Blob, Images};
 use super::centroid::{Moments, Sums};
 use super::dispatch::Kernels;
-use super::fronts::{ROW_STEP, ROWS, fetch_tile};
+use super::fronts::{ROW_STEP, ROWS, fetch_rows, fetch_tile};
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX, WindowSums};
 
 /// A spot within a blob is a ball's from this many pixels.
@@ -28,7 +28,7 @@ const SPOT_SIDE_MAX_PX: usize = 40;
 const ROWS_MAX: usize = 200;
 
 /// The memory of a body's tiles is asked for so many tiles ahead.
-const TILES_AHEAD: usize = 4;
+const TILES_AHEAD: usize = 8;
 
 /// A spot while it is gathered.
 struct Spot {
@@ -132,12 +132,21 @@ impl MoverSearch {
         self.tiles.clear();
         self.tiles.extend(tiles);
         let size_px = (near.width_px, near.height_px);
-        for (index, place) in self.tiles.iter().enumerate() {
-            if let Some(later) = self.tiles.get(index + TILES_AHEAD) {
-                fetch_tile(near.levels(), near.width_px, *later);
+        let mut last = None;
+        let mut ahead = self.tiles.iter();
+        let mut fetch = |tiles: usize| {
+            for (band, column) in ahead.by_ref().take(tiles) {
+                let beside = last.is_some_and(|tile| tile == (*band, *column));
+                fetch_tile(near.levels(), near.width_px, (*band, *column), beside);
+                last = Some((*band, column + 1));
             }
+        };
+        fetch(TILES_AHEAD);
+        for place in &self.tiles {
+            fetch(1);
             let rows = self.kernels.rows_in_front(near.levels(), size_px, *place, limits);
             if rows != 0 {
+                fetch_rows((near.one, near.other), near.width_px, *place, (limits.0, rows));
                 self.found.push(TileInFront { place: *place, rows });
             }
         }

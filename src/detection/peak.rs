@@ -132,7 +132,7 @@ impl PeakDetector {
         let bands = current.chunks(band_bytes).zip(before.chunks(band_bytes));
         for (band, pixels) in bands.enumerate() {
             self.scan
-                .band(band, self.counters.frames, pixels, &mut self.changed);
+                .bands(band, self.counters.frames, pixels, &mut self.changed);
             for column in self.changed.columns(band) {
                 self.look_into(pixels, (band, column), &mut best);
             }

@@ -22,6 +22,8 @@ const SIGMA_START: f32 = 3.0;
 pub struct RegionNoise {
     columns: usize,
     sigma: Vec<f32>,
+    /// Clip per region.
+    clip: Vec<u8>,
     /// Threshold per region, as last written to its tiles.
     levels: Vec<u8>,
     /// Per tile, 255 where it is not searched.
@@ -46,6 +48,7 @@ impl RegionNoise {
         let mut noise = Self {
             columns,
             sigma: vec![SIGMA_START; count],
+            clip: vec![0; count],
             levels: vec![0; count],
             threshold: vec![u8::MAX; tile_columns * bands],
             lowest: vec![u8::MAX; tile_columns.div_ceil(SEGMENT_TILES) * bands],
@@ -59,24 +62,32 @@ impl RegionNoise {
             threshold_min: f32::from(config.threshold_levels_min),
         };
         for index in 0..count {
-            noise.set_threshold(index);
+            noise.set_levels(index);
         }
         noise
     }
 
-    fn set_threshold(&mut self, index: usize) {
+    /// Clip and threshold of a region as its noise says.
+    #[inline]
+    fn set_levels(&mut self, index: usize) {
         let Some(sigma) = self.sigma.get(index) else {
             return;
         };
+        if let Some(clip) = self.clip.get_mut(index) {
+            *clip = (4.0 * sigma + 4.0).min(255.0) as u8;
+        }
         let levels = (self.threshold_sigmas * sigma + 1.0)
             .max(self.threshold_min)
             .min(254.0) as u8;
-        if self.levels.get(index) == Some(&levels) {
-            return;
-        }
-        if let Some(known) = self.levels.get_mut(index) {
+        if let Some(known) = self.levels.get_mut(index)
+            && *known != levels
+        {
             *known = levels;
+            self.set_threshold(index, levels);
         }
+    }
+
+    fn set_threshold(&mut self, index: usize, levels: u8) {
         let (row, column) = (index / self.columns, index % self.columns);
         for band in row * REGION_BANDS..((row + 1) * REGION_BANDS).min(self.bands) {
             for tile in column * REGION_TILES..((column + 1) * REGION_TILES).min(self.tile_columns) {
@@ -121,12 +132,11 @@ impl RegionNoise {
             .unwrap_or(&[])
     }
 
-    /// The thresholds of a row of tiles, with the lowest of each segment.
-    pub fn band_limits(&self, band: usize) -> Limits<'_> {
-        let segments = band * self.segments;
+    /// The thresholds of the rows of tiles from one on, with the lowest of each segment.
+    pub fn limits_from(&self, band: usize) -> Limits<'_> {
         Limits {
-            tiles: self.band_thresholds(band),
-            lowest: self.lowest.get(segments..segments + self.segments).unwrap_or(&[]),
+            tiles: self.threshold.get(band * self.tile_columns..).unwrap_or(&[]),
+            lowest: self.lowest.get(band * self.segments..).unwrap_or(&[]),
         }
     }
 
@@ -138,15 +148,14 @@ impl RegionNoise {
             .unwrap_or(SIGMA_START)
     }
 
-    /// Clip to apply when summing |d| in this region.
-    pub fn clip(&self, band: usize, region_column: usize) -> u8 {
-        let sigma = self
-            .sigma
-            .get((band / REGION_BANDS) * self.columns + region_column);
-        (4.0 * sigma.copied().unwrap_or(SIGMA_START) + 4.0).min(255.0) as u8
+    /// Clips to apply when summing |d| in the regions of a row of tiles.
+    pub fn clips(&self, band: usize) -> &[u8] {
+        let begin = (band / REGION_BANDS) * self.columns;
+        self.clip.get(begin..begin + self.columns).unwrap_or(&[])
     }
 
     /// Takes the mean clipped |d| of one row piece of a region.
+    #[inline]
     pub fn learn(&mut self, band: usize, region_column: usize, mean_change: f32) {
         let index = (band / REGION_BANDS) * self.columns + region_column;
         if let Some(sigma) = self.sigma.get_mut(index) {
@@ -155,7 +164,7 @@ impl RegionNoise {
             let share = if measured > *sigma { 0.2 } else { 0.05 };
             *sigma += share * (measured - *sigma);
         }
-        self.set_threshold(index);
+        self.set_levels(index);
     }
 }
 

@@ -2,12 +2,14 @@
 
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
-use super::kernel::TILE_WIDTH_PX;
+use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::regions::{REGION_TILES, RegionNoise};
 use super::tiles::TileMap;
 
 /// One row of every so many bands tells the noise, others in every frame.
 const LEARN_EVERY_BANDS: usize = 16;
+/// Columns of a region.
+const REGION_WIDTH_PX: usize = TILE_WIDTH_PX * REGION_TILES;
 
 /// What the pass knows from frame to frame.
 pub struct Scan {
@@ -15,9 +17,8 @@ pub struct Scan {
     kernels: Kernels,
     /// Noise and thresholds.
     pub noise: RegionNoise,
-    /// All zero between two bands.
-    column_changes: Vec<u8>,
-    tile_hits: Vec<bool>,
+    /// Of the regions of a row of tiles.
+    sums: Vec<u32>,
 }
 
 impl Scan {
@@ -27,36 +28,46 @@ impl Scan {
             width_px,
             kernels: Kernels::new(isa),
             noise: RegionNoise::new(config, width_px, height_px),
-            column_changes: vec![0; width_px],
-            tile_hits: vec![false; width_px.div_ceil(TILE_WIDTH_PX)],
+            sums: vec![0; width_px.div_ceil(REGION_WIDTH_PX)],
         }
     }
 
-    /// A band of a frame and of the one before, read once; `turn` is another for every frame. Tiles that changed are set.
-    pub fn band(&mut self, band: usize, turn: u64, (current, before): (&[u8], &[u8]), changed: &mut TileMap) {
-        let limits = self.noise.band_limits(band);
-        let (most, hits) = (&mut self.column_changes, &mut self.tile_hits);
-        if self
-            .kernels
-            .changed_tiles((current, before), self.width_px, limits, most, hits)
-        {
-            let tiles = self.tile_hits.iter().enumerate();
-            for (column, _) in tiles.filter(|(_, hit)| **hit) {
-                changed.set(band, column);
+    /// Bands of a frame and of the one before, from `first` on, read once; `turn` is another for every frame. Tiles that
+    /// changed are set.
+    pub fn bands(
+        &mut self,
+        first: usize,
+        turn: u64,
+        (current, before): (&[u8], &[u8]),
+        changed: &mut TileMap,
+    ) {
+        let band_px = (self.width_px * TILE_HEIGHT_PX).max(1);
+        let (mut band, mut current, mut before) = (first, current, before);
+        while !current.is_empty() && !before.is_empty() {
+            // All up to the next band that tells the noise, whose last row is then in the cache.
+            let place = (band + turn as usize) % LEARN_EVERY_BANDS;
+            let bands = (LEARN_EVERY_BANDS - place) % LEARN_EVERY_BANDS + 1;
+            let pixels = (bands * band_px).min(current.len()).min(before.len());
+            let (limits, hits) = (self.noise.limits_from(band), changed.words_from(band));
+            self.kernels
+                .changed_tiles((current, before), (self.width_px, bands), limits, hits);
+            let ((c, c_rest), (p, p_rest)) = (current.split_at(pixels), before.split_at(pixels));
+            if pixels > (bands - 1) * band_px {
+                self.learn(band + bands - 1, (c, p));
             }
+            (band, current, before) = (band + bands, c_rest, p_rest);
         }
-        if !(band + turn as usize).is_multiple_of(LEARN_EVERY_BANDS) {
-            return;
-        }
-        let region_width = TILE_WIDTH_PX * REGION_TILES;
+    }
+
+    /// What the last row of some bands, the last of which is `band`, tells of the noise.
+    fn learn(&mut self, band: usize, (current, before): (&[u8], &[u8])) {
         let mut rows = current.chunks(self.width_px).zip(before.chunks(self.width_px));
-        if let Some((c, p)) = rows.next_back() {
-            for (region, (c, p)) in c.chunks(region_width).zip(p.chunks(region_width)).enumerate() {
-                let sum = self
-                    .kernels
-                    .clipped_change_sum(c, p, self.noise.clip(band, region));
-                self.noise.learn(band, region, sum as f32 / c.len() as f32);
-            }
+        let Some((c, p)) = rows.next_back() else { return };
+        let clips = self.noise.clips(band);
+        self.kernels
+            .clipped_change_sums((c, p), REGION_WIDTH_PX, clips, &mut self.sums);
+        for (region, (sum, pixels)) in self.sums.iter().zip(c.chunks(REGION_WIDTH_PX)).enumerate() {
+            self.noise.learn(band, region, *sum as f32 / pixels.len() as f32);
         }
     }
 }

@@ -24,7 +24,15 @@ impl TileMap {
         self.words.fill(0);
     }
 
+    /// The words of the bands from one on.
+    pub fn words_from(&mut self, band: usize) -> &mut [u64] {
+        self.words
+            .get_mut(band * self.words_per_band..)
+            .unwrap_or_default()
+    }
+
     /// Sets one tile.
+    #[cfg(test)]
     pub fn set(&mut self, band: usize, column: usize) {
         if let Some(word) = self.words.get_mut(band * self.words_per_band + column / 64) {
             *word |= 1 << (column % 64);
