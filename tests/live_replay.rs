@@ -326,9 +326,9 @@ impl Stage {
 fn live_is_replay() {
     let Some(stage) = Stage::new('l') else { return };
     // Stamps of clocks that follow the network's fit each other exactly. Those of free-running cameras are as good as the
-    // host's arrivals: on two busy cores two clocks are some 5 µs off each other, 0.2 mm of flight, where the points of
-    // this noise-free recording are good to 0.01 px; and whether their drift is held at zero is weighed by such stamps. Seen:
-    // 0.01 to 0.8 sigma, 1.7 on a busy machine, with the same centres to 0.0001 px.
+    // host's arrivals, some 5 µs (15 on a busy machine) off from ball to ball: 0.01 to 0.04 px, where the points of this
+    // noise-free recording are good to 0.01 px and its plates are told by no more than four balls. DESIGN.md, Clocks, has
+    // what that moves: 0.5 sigma by 5 µs, 2 by 15.
     // The recording has eight bits; packed cameras send them as the upper ones of ten and twelve.
     let packed = ["Mono12p", "Mono10Packed"];
     for (ptp, sigmas_max, formats) in [(true, 0.1, ["Mono8"; 2]), (false, 3.0, packed)] {

@@ -99,7 +99,7 @@ impl Answers for Guided<'_> {
     }
 
     fn is_quiet(&self, _detections: &[Detection]) -> bool {
-        !self.0.follows()
+        !self.0.sees_a_ball()
     }
 }
 

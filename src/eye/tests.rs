@@ -1,5 +1,7 @@
 //! The eye on painted pitches.
 
+use nalgebra::Vector2;
+
 use super::*;
 use crate::detection::painter::{Ball, Canvas};
 use crate::tracking::TrackKind;
@@ -257,6 +259,45 @@ fn a_ball_is_found_again_in_frames_that_its_track_lacks() {
     let found: Vec<_> = points.into_iter().filter(|p| lost.contains(&p.frame)).collect();
     let score = Score::of(&found, |frame| flight(frame as f64 - 10.0));
     assert!(score.worst_px < 0.2 && score.nees < 2.0, "{score:?}");
+}
+
+#[test]
+fn the_lag_changes_among_limbs_that_move_but_not_under_a_ball() {
+    let stand = Canvas::stand(640, 240, 3, 40.0);
+    let limb = Canvas::stand(22, 60, 9, 60.0);
+    let changed_at = |with_ball: bool| {
+        let camera = CameraId::new("side").unwrap();
+        let mut first = FirstLook::new(camera, &EyeConfig::default(), 640, 240);
+        let before = first.lag_frames();
+        (0..600u64).find(|&number| {
+            let mut canvas = stand.clone();
+            // Two legs and two arms swing once in 0.4 s, 30 px to either side; nobody stands still.
+            for limb_number in 0..4 {
+                let phase = 2.5 * f64::from(limb_number) + 0.09 * number as f64;
+                let left = 150.0 + 90.0 * f64::from(limb_number) + 30.0 * phase.sin();
+                canvas.paste(&limb, left, 150.0 + 20.0 * f64::from(limb_number % 2));
+            }
+            if with_ball && number < 70 {
+                canvas.ball(&ball(number as f64));
+            }
+            first.push(&canvas.frame(number, 175.0, 2.0)).unwrap();
+            if number == 30 {
+                first.adapt(BallStep {
+                    step_px: 12.0,
+                    length_px: 8.0,
+                    off_light_px: Vector2::zeros(),
+                });
+            }
+            first.lag_frames() < before
+        })
+    };
+    let (limbs, ball) = (changed_at(false), changed_at(true));
+    println!("limbs only: {limbs:?}; under a ball to frame 69: {ball:?}");
+    assert!(limbs.is_some_and(|frame| frame < 30 + 175), "{limbs:?}");
+    assert!(
+        ball.is_some_and(|frame| (70..70 + 175).contains(&frame)),
+        "{ball:?}"
+    );
 }
 
 #[test]

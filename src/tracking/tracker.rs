@@ -138,8 +138,9 @@ impl Tracker {
         open_paths(&self.alive, &self.config)
     }
 
-    /// Whether what may be a ball is being followed (a grown path that goes fast), or held back because it may go on.
-    pub fn follows(&self) -> bool {
+    /// Whether what may be a ball is being followed (a grown path that goes fast), or held back because it may go on: not the
+    /// time to change how frames are compared.
+    pub fn sees_a_ball(&self) -> bool {
         let is_ball = |h: &Hypothesis| {
             let recent = h.points.len().checked_sub(YOUNG.0);
             let recent = recent.and_then(|from| h.points.get(from..));
