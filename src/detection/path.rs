@@ -14,6 +14,8 @@ const NEIGHBOURS_MIN: usize = 5;
 const LEVELS: usize = 5;
 /// Neighbours further than this from the path are left out, worst first.
 const STRAY_PX: f64 = 0.6;
+/// How far a sure centre is from its path, 1σ: next to players backgrounds are unsure.
+const PATH_SIGMA_PX: f64 = 0.06;
 
 /// Where a ball must be in a frame.
 #[derive(Debug, Clone, Copy)]
@@ -24,8 +26,8 @@ pub struct Place {
     pub velocity_px_per_s: Vector2<f64>,
     /// Level of the ball in the frames around ([`FittedCentre::level`]).
     pub level: f64,
-    /// How unsure the centre is, as a multiple of how unsure the fitted centres are.
-    pub spread: f64,
+    /// How unsure the centre is, no less than one fitted centre, pixels.
+    pub sigma_px: f64,
     /// How far off the centre is for a path whose acceleration changes by 1 px/s³, s³: a parabola leaves that out.
     pub bend_s3: f64,
 }
@@ -45,6 +47,8 @@ pub fn between(track: &Track, centres: &[Option<FittedCentre>], index: usize) ->
 pub struct Near {
     t_s: f64,
     centre_px: Vector2<f64>,
+    /// How much it says about the path, 1/px².
+    weight: f64,
     level: f64,
 }
 
@@ -54,6 +58,7 @@ impl Near {
         Self {
             t_s: stamped.seconds_since(epoch_ns),
             centre_px: centre.centre_px,
+            weight: 1.0 / (0.5 * centre.covariance_px2.trace() + PATH_SIGMA_PX.powi(2)),
             level: centre.level,
         }
     }
@@ -78,7 +83,7 @@ pub fn place(mut near: Vec<Near>) -> Option<Place> {
                 centre_px: curve.at(0.0),
                 velocity_px_per_s: Vector2::new(curve.x.y, curve.y.y) / curve.scale_s,
                 level,
-                spread: curve.spread,
+                sigma_px: curve.sigma_px.max(PATH_SIGMA_PX),
                 bend_s3: curve.bend_s3,
             });
         }
@@ -92,8 +97,8 @@ struct Parabola {
     scale_s: f64,
     x: Vector3<f64>,
     y: Vector3<f64>,
-    /// Standard deviation at time 0 for a standard deviation of 1 of every centre.
-    spread: f64,
+    /// Standard deviation at time 0, pixels.
+    sigma_px: f64,
     /// Distance at time 0 from a cubic that is t³/6 in seconds, s³.
     bend_s3: f64,
 }
@@ -105,17 +110,18 @@ impl Parabola {
         let (mut x, mut y, mut cubic) = (Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
         for near in near {
             let row = powers(near.t_s / scale_s);
-            normal += row * row.transpose();
-            x += row * near.centre_px.x;
-            y += row * near.centre_px.y;
-            cubic += row * (near.t_s / scale_s).powi(3);
+            let weighted = row * near.weight;
+            normal += weighted * row.transpose();
+            x += weighted * near.centre_px.x;
+            y += weighted * near.centre_px.y;
+            cubic += weighted * (near.t_s / scale_s).powi(3);
         }
         let cholesky = normal.cholesky()?;
         Some(Self {
             scale_s,
             x: cholesky.solve(&x),
             y: cholesky.solve(&y),
-            spread: cholesky.solve(&powers(0.0)).x.sqrt(),
+            sigma_px: cholesky.solve(&powers(0.0)).x.sqrt(),
             bend_s3: cholesky.solve(&cubic).x.abs() * scale_s.powi(3) / 6.0,
         })
     }
@@ -159,7 +165,7 @@ mod tests {
             .map(|i| {
                 Some(FittedCentre {
                     centre_px: at(i),
-                    covariance_px2: nalgebra::Matrix2::identity(),
+                    covariance_px2: nalgebra::Matrix2::identity() * 1e-4,
                     chi2: 1.0,
                     level: 90.0 + i as f64,
                 })
@@ -187,19 +193,21 @@ mod tests {
             let near = frames.map(|frame| Near {
                 t_s: f64::from(frame),
                 centre_px: Vector2::new(f64::from(frame), 0.0),
+                weight: 0.04_f64.powi(-2),
                 level: 90.0,
             });
             place(near.collect()).unwrap()
         };
-        // Five points −2..2: Σt⁰ = 5, Σt² = 10, Σt⁴ = 34; the inverse's first element is 34 / (5·34 − 10²) = 34/70.
-        assert!((near(-2..=2).spread - (34.0_f64 / 70.0).sqrt()).abs() < 1e-9);
+        // Five points −2..2, 0.04 px each: Σt⁰ = 5, Σt² = 10, Σt⁴ = 34; the inverse's first element is 34 / (5·34 − 10²) = 34/70,
+        // but one fitted centre is no surer than 0.06 px.
+        assert!((near(-2..=2).sigma_px - 0.06).abs() < 1e-9);
         // The same points one frame ahead of their last (u = 3): (34 − 2·10·9 + 5·81)/70 + 9/10 = 259/70 + 9/10.
         let ahead = near(-5..=-1);
         assert!(
-            (ahead.spread - (259.0_f64 / 70.0 + 0.9).sqrt()).abs() < 1e-9,
+            (ahead.sigma_px - 0.04 * (259.0_f64 / 70.0 + 0.9).sqrt()).abs() < 1e-9,
             "{ahead:?}"
         );
-        assert!(near(-16..=-12).spread > 10.0);
+        assert!(near(-16..=-12).sigma_px > 0.4);
         // u³ on −2..2 is 3.4 u (Σu⁴/Σu² = 34/10) and nothing else: at u = 3 it is off by 27 − 10.2, at u = 0 by nothing.
         assert!((ahead.bend_s3 - 16.8 / 6.0).abs() < 1e-9, "{ahead:?}");
         assert!(near(-2..=2).bend_s3 < 1e-9);
