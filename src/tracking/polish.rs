@@ -17,6 +17,10 @@ const PARTED_BY: usize = 4;
 const GROW_BACK: usize = 30;
 const GROW_SIGMAS: f64 = 3.0;
 const GROW_STRAYS_MAX: usize = 12;
+/// How much further off a ball may be at its end than at its begin: a camera behind home, beside the way, behind the mound.
+const DEPTH_RATIOS: [f64; 7] = [0.16, 0.25, 0.4, 0.64, 1.0, 1.6, 2.5];
+/// Degree of the curve that chooses among them.
+const EVEN_DEGREE: usize = 3;
 /// So few points beyond a gap at the end of a grown piece are there by chance.
 const STRAGGLERS_MAX: usize = 3;
 
@@ -27,6 +31,7 @@ const STRAGGLERS_MAX: usize = 3;
 pub fn polish(track: &Track, floor_px: f64) -> Option<Track> {
     let epoch = track.points.first()?.stamped.nanos();
     let samples: Vec<Sample> = track.points.iter().map(|p| sample(p, epoch, floor_px)).collect();
+    let samples = in_even_time(&samples, floor_px);
     let mut kept = smooth(&samples, (0..samples.len()).collect(), floor_px)?;
     if let Some(piece) = longest_piece(&kept) {
         kept = smooth(&samples, piece, floor_px)?;
@@ -41,6 +46,32 @@ pub fn polish(track: &Track, floor_px: f64) -> Option<Track> {
             .filter_map(|i| track.points.get(*i).copied())
             .collect(),
     })
+}
+
+/// The samples in a time in which a ball that comes near or goes far moves evenly. Seen at a depth that changes as 1 + (r − 1)τ,
+/// τ from 0 to 1, a straight even flight is a straight line in τ / (1 + (r − 1)τ), where no polynomial of time follows it
+/// to its near end. The ratio of depths is that of [`DEPTH_RATIOS`] whose curve is nearest to the samples.
+fn in_even_time(samples: &[Sample], floor_px: f64) -> Vec<Sample> {
+    let span = samples.first().zip(samples.last());
+    let Some((begin, length)) = span.map(|(first, last)| (first.t, last.t - first.t)) else {
+        return Vec::new();
+    };
+    let even = |ratio: f64| -> Vec<Sample> {
+        let tau = |t: f64| (t - begin) / length.max(f64::MIN_POSITIVE);
+        let warp = |t: f64| tau(t) / (1.0 + (ratio - 1.0) * tau(t));
+        samples.iter().map(|s| Sample { t: warp(s.t), ..*s }).collect()
+    };
+    let cost = |samples: &[Sample]| {
+        let curve = fit(samples, EVEN_DEGREE)?;
+        let costs = samples
+            .iter()
+            .map(|s| excess(s, &curve, floor_px).min(OUTLIER_SIGMAS).powi(2));
+        Some(costs.sum::<f64>())
+    };
+    let costed = DEPTH_RATIOS.iter().map(|ratio| even(*ratio));
+    let costed = costed.filter_map(|samples| Some((cost(&samples)?, samples)));
+    let best = costed.min_by(|a, b| a.0.total_cmp(&b.0));
+    best.map_or_else(|| samples.to_vec(), |(_, samples)| samples)
 }
 
 /// The points left on one smooth curve when those off it are dropped, worst first.
@@ -189,6 +220,24 @@ mod tests {
         let first = polished.points.first().unwrap().frame;
         assert!((14..=15).contains(&first), "begins at {first}");
         assert_eq!(polished.points.len() as u64, 120 - first);
+    }
+
+    /// A slow ball that comes at a camera behind home: from 24 m off to 5 m in 97 frames, 1800 px focal length.
+    #[test]
+    fn a_ball_that_comes_near_is_one_flight_to_its_end() {
+        let mut track = thrown(|_| 0.0);
+        track.points.truncate(97);
+        for (i, point) in track.points.iter_mut().enumerate() {
+            let t = i as f64 / 175.0;
+            let depth_m = 24.0 - 34.5 * t;
+            let (side_m, down_m) = (0.2 - 0.5 * t, -1.2 + 1.5 * t + 4.9 * t * t);
+            point.pixel = Pixel::new(
+                1000.0 + 1800.0 * side_m / depth_m,
+                400.0 + 1800.0 * down_m / depth_m,
+            );
+        }
+        let polished = polish(&track, 0.05).unwrap();
+        assert_eq!(polished.points, track.points);
     }
 
     #[test]
