@@ -367,10 +367,16 @@ impl Tracker {
 
     /// Gives out the ended balls that no living path may yet turn out to be the rest of.
     fn release(&mut self) {
-        let alive = &self.alive;
+        let (alive, gap) = (&self.alive, f64::from(self.config.gap_frames_max));
+        let now = self.history.back().map_or(f64::INFINITY, |newest| newest.t);
+        // Another path is with the ball where this one, or the way found on from it, has come to.
+        let is_seen = |ended: &[Point]| {
+            let last = ended.last().filter(|last| now - last.t <= gap);
+            last.is_some_and(|last| alive.iter().any(|h| h.points.iter().rev().any(|p| p.same(last))))
+        };
         let (held, free): (Vec<_>, Vec<_>) = std::mem::take(&mut self.pending)
             .into_iter()
-            .partition(|(points, _)| alive.iter().any(|h| goes_on(points, &h.points)));
+            .partition(|(points, _)| is_seen(points) || alive.iter().any(|h| goes_on(points, &h.points)));
         self.pending = held;
         for (_, mut ball) in free {
             ball.track.track = self.next_number;
@@ -426,63 +432,5 @@ fn beside(a: &[Point], b: &[Point]) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::time::StampedMidpoint;
-
-    /// One frame: an arm as a row of spots that all go on the same way, and a ball.
-    fn frame(number: u64) -> (FrameStamp, Vec<Detection>) {
-        let stamp = FrameStamp {
-            frame: number,
-            device: None,
-            arrival: None,
-            stamped: StampedMidpoint::from_seconds_since(0, number as f64 / 175.0),
-        };
-        let t = number as f64;
-        let spot = |x: f64, y: f64, strength: f64| Detection {
-            frame: number,
-            stamped: stamp.stamped,
-            centre: Pixel::new(x, y),
-            covariance_px2: nalgebra::Matrix2::identity() * 0.2,
-            radius_px: 3.0,
-            streak_px: [0.0; 2],
-            strength,
-        };
-        let arm = (0..20).map(|i| {
-            spot(
-                700.0 - 9.0 * t + 2.5 * f64::from(i),
-                300.0 + 1.5 * f64::from(i),
-                90.0,
-            )
-        });
-        let ball = spot(1500.0 - 16.0 * t, 500.0 + 0.02 * t * t, 20.0);
-        (stamp, arm.chain([ball]).collect())
-    }
-
-    #[test]
-    fn no_beginning_takes_all_places() {
-        let mut tracker = Tracker::new(CameraId::new("a").unwrap(), TrackerConfig::default());
-        for number in 0..60 {
-            let (stamp, detections) = frame(number);
-            tracker.push(stamp, &detections);
-            assert!(tracker.alive.len() <= tracker.config.hypotheses_max);
-            for hypothesis in &tracker.alive {
-                assert!(family(&tracker.alive, hypothesis) <= FAMILY_MAX);
-            }
-        }
-        assert!(tracker.counters().hypotheses_dropped > 0, "the arm was too small");
-        let balls = tracker.finish();
-        let ball = balls.iter().max_by_key(|b| b.track.points.len()).unwrap();
-        let first = ball.track.points.first().unwrap();
-        assert!(
-            (first.pixel.y - 500.0).abs() < 1.0,
-            "the longest path is at {:?}",
-            first.pixel
-        );
-        assert!(
-            ball.track.points.len() >= 55,
-            "{} points of the ball",
-            ball.track.points.len()
-        );
-    }
-}
+#[path = "tracker_tests.rs"]
+mod tests;
