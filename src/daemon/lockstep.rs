@@ -202,14 +202,13 @@ mod tests {
         Calibration::without_covariance(cameras.iter().map(one).collect())
     }
 
-    /// Where a camera sees the ball this long after its first stamp.
-    fn seen(camera: &CameraModel, flown: &Flown, after_s: f64) -> Option<Pixel> {
+    /// Where a camera sees the ball this long after its first stamp, and its radius, pixels.
+    fn seen(camera: &CameraModel, flown: &Flown, after_s: f64) -> Option<(Pixel, f64)> {
         let t_s = after_s - camera.timing.capture_delay_s - RELEASE_S;
         let flies = (0.0..flown.duration_s()).contains(&t_s);
-        let pixel = camera
-            .intrinsics
-            .project(&camera.pose.transform(&flown.position_m(t_s.max(0.0))));
-        pixel.ok().filter(|_| flies)
+        let ball = camera.pose.transform(&flown.position_m(t_s.max(0.0)));
+        let pixel = camera.intrinsics.project(&ball).ok().filter(|_| flies)?;
+        Some((pixel, 1790.0 * BALL_RADIUS_M / ball.z))
     }
 
     /// A camera's frames of a pitch that is so much brighter than what is behind it, in shade and in full light.
@@ -225,12 +224,12 @@ mod tests {
         let frame = |number: u64| {
             let mut canvas = still.clone();
             let at = |share: f64| seen(camera, flown, number as f64 / 175.0 + share * EXPOSURE_S);
-            if let (Some(centre), Some(from), Some(to)) = (at(0.0), at(-0.5), at(0.5)) {
+            if let (Some((centre, radius)), Some((from, _)), Some((to, _))) = (at(0.0), at(-0.5), at(0.5)) {
                 let streak: Vector2<f64> = to.vector() - from.vector();
                 canvas.ball(&Ball {
                     centre: [centre.x, centre.y],
                     streak: [streak.x, streak.y],
-                    radius: 1790.0 * BALL_RADIUS_M / 19.6,
+                    radius,
                     shade: 55.0 + contrast[0],
                     light: 55.0 + contrast[1],
                     to_light: [0.1, -0.9, -0.4],
@@ -306,18 +305,27 @@ mod tests {
             [0, 1, 2].map(|i| points(&told, i))
         );
         assert!(points(&alone, 0) > 40 && points(&alone, 1) > 40);
-        assert_eq!((&alone[0], &alone[1]), (&told[0], &told[1]), "they need no help");
+        for (alone, told) in alone[..2].iter().zip(&told) {
+            assert_eq!((alone.len(), told.len()), (1, 1));
+            for (a, b) in alone[0].points.iter().zip(&told[0].points) {
+                let apart_px = (a.pixel.vector() - b.pixel.vector()).norm();
+                assert!(
+                    a.frame == b.frame && apart_px < 0.02,
+                    "{apart_px} px: it needs no help"
+                );
+            }
+        }
         assert!(points(&alone, 2) < 10 && told[2].len() == 1);
         let track = &told[2][0];
         let squares = track.points.iter().map(|p| {
-            let truth = seen(&cameras[2], &flown, p.stamped.seconds_since(FIRST_STAMP_NS)).unwrap();
+            let (truth, _) = seen(&cameras[2], &flown, p.stamped.seconds_since(FIRST_STAMP_NS)).unwrap();
             (p.pixel.vector() - truth.vector()).norm_squared()
         });
         let rms_px = (squares.sum::<f64>() / track.points.len() as f64).sqrt();
         println!("{} points, {rms_px:.2} px", track.points.len());
-        assert!(track.points.len() >= 30 && rms_px < 0.6);
+        assert!(track.points.len() >= 30 && rms_px < 0.4);
         // Which thread runs when decides nothing.
-        assert_eq!(told, tracks(&frames, &cameras, true));
+        assert!(told == tracks(&frames, &cameras, true), "another time otherwise");
     }
 
     #[test]

@@ -43,8 +43,9 @@ const LIGHT_SIGMA: [f64; TERMS] = [0.08, 0.08, 0.05, 0.05, 0.05, 2.0, 2.0, 2.0];
 const POLYNOMIAL_HELD: f64 = 4.0;
 /// Prior σ of the radius' growth over the track.
 const GROWTH_SIGMA: f64 = 0.5;
-/// Prior σ of ln(radius).
+/// Prior σ of ln(radius), and of it and the growth where the distance is known: balls differ by 1 %.
 const RADIUS_SIGMA_SHARE: f64 = 0.7;
+const KNOWN_SIGMA_SHARE: f64 = 0.01;
 
 /// Shared parameters as a vector.
 pub type SharedVector = SVector<f64, SHARED>;
@@ -88,6 +89,13 @@ impl Shared {
             prior,
             weights,
         }
+    }
+
+    /// Takes a radius and its growth that follow from the ball's distance.
+    pub fn know_size(&mut self, radius_px: f64, growth: f64) {
+        (self.prior[0], self.prior[1]) = (radius_px, growth);
+        self.weights[0] = (KNOWN_SIGMA_SHARE * radius_px).powi(-2);
+        self.weights[1] = KNOWN_SIGMA_SHARE.powi(-2);
     }
 
     /// Lets the polynomial of the light go.

@@ -55,5 +55,5 @@ pub use error::DetectionError;
 pub use packed::UnpackedFrames;
 pub use patches::PatchPool as CutOuts;
 pub use peak::PeakDetector;
-pub use refine::{Refined, Refinement, Refiner};
+pub use refine::{KnownSize, Refined, Refinement, Refiner};
 pub use regain::FittedBall;

@@ -13,6 +13,7 @@ use super::running::Running;
 use super::view::View;
 use crate::geometry::{Intrinsics, Pixel};
 use crate::scene::{Track, TrackPoint};
+use crate::time::StampedMidpoint;
 
 /// Frames of a track on which blur and ball are tried.
 const TRIAL_FRAMES: usize = 12;
@@ -67,6 +68,27 @@ pub struct Refined {
     pub ball: FittedBall,
 }
 
+/// A ball's radius at two instants, by the flight that several cameras have seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KnownSize(
+    /// Stamp, and radius as on the lens's axis, pixels.
+    pub [(StampedMidpoint, f64); 2],
+);
+
+impl KnownSize {
+    /// Radius in the middle of a track's span, and its growth; 1/r is linear, as depth is.
+    fn over(&self, track: &Track) -> Option<(f64, f64)> {
+        let (begin, end) = track.span()?;
+        let span_s = end.seconds_since(begin.nanos());
+        let [(u, by_one), (v, by_other)] = self
+            .0
+            .map(|(at, radius_px)| (at.seconds_since(begin.nanos()) / span_s - 0.5, 1.0 / radius_px));
+        let slope = (by_other - by_one) / (v - u);
+        let middle = by_one - slope * u;
+        (middle > 0.0 && slope.is_finite()).then_some((1.0 / middle, slope / middle))
+    }
+}
+
 /// The second look: replaces the centroids of a track of a detector's candidates by centres fitted to the cut-outs
 /// that the detector has kept ([`super::Detector::cut_outs`]). It may be another thread's work.
 ///
@@ -92,8 +114,13 @@ impl Refiner {
 
     /// Refines a track in place. Points whose cut-out is gone or does not look like the ball keep their centroid and
     /// its larger covariance. `None`: too few cut-outs, nothing changed.
-    pub fn refine(&self, cut_outs: &PatchPool, track: &mut Track) -> Option<Refined> {
-        let fit = self.fit(cut_outs, track)?;
+    pub fn refine(
+        &self,
+        cut_outs: &PatchPool,
+        track: &mut Track,
+        size: Option<&KnownSize>,
+    ) -> Option<Refined> {
+        let fit = self.fit(cut_outs, track, size)?;
         let span = track.span()?;
         let Fit {
             starts,
@@ -171,8 +198,8 @@ impl Refiner {
     }
 
     /// Fits a ball that still flies, so that [`Self::refine`] goes on from there; whether it could be fitted.
-    pub fn look_ahead(&mut self, cut_outs: &PatchPool, track: &Track) -> bool {
-        let Some(fit) = self.fit(cut_outs, track) else {
+    pub fn look_ahead(&mut self, cut_outs: &PatchPool, track: &Track, size: Option<&KnownSize>) -> bool {
+        let Some(fit) = self.fit(cut_outs, track, size) else {
             return false;
         };
         let Some(running) = Running::new(
@@ -196,13 +223,17 @@ impl Refiner {
         self.running.iter().any(|running| running.is_of(track))
     }
 
-    fn fit(&self, pool: &PatchPool, track: &Track) -> Option<Fit> {
+    fn fit(&self, pool: &PatchPool, track: &Track, size: Option<&KnownSize>) -> Option<Fit> {
         let starts = self.starts(pool, track)?;
+        let size = size.and_then(|size| size.over(track));
         let running = self.running.iter().find(|running| running.is_of(track));
         let (edge, mut shared, blur) = match running {
             Some(running) => running.ball(track)?,
-            None => self.first_fit(pool, track, &starts)?,
+            None => self.first_fit((pool, track), &starts, size)?,
         };
+        if let Some((radius_px, growth)) = size {
+            shared.know_size(radius_px, growth);
+        }
         // The pixels that the ball of the found size reaches.
         let (mut indices, mut pictures) = (Vec::new(), Vec::new());
         for (index, start) in &starts {
@@ -279,9 +310,9 @@ impl Refiner {
     /// Blur and ball from a few frames.
     fn first_fit(
         &self,
-        pool: &PatchPool,
-        track: &Track,
+        (pool, track): (&PatchPool, &Track),
         starts: &[(usize, PictureStart)],
+        size: Option<(f64, f64)>,
     ) -> Option<(Edge, Shared, Option<BlurCosts>)> {
         let scale_sigma = if self.exposure_s.is_some() {
             STREAK_SCALE_SIGMA
@@ -289,7 +320,11 @@ impl Refiner {
             EXPOSURE_GUESS_S.1
         };
         let radius = median(starts.iter().map(|(_, s)| s.radius_px))?;
-        let first = Shared::start(radius, scale_sigma, self.lens.is_some());
+        let mut first = Shared::start(radius, scale_sigma, self.lens.is_some());
+        if let Some((radius_px, growth)) = size {
+            first.know_size(radius_px, growth);
+            (first.values[0], first.values[1]) = (radius_px, growth);
+        }
         let step = starts.len().div_ceil(TRIAL_FRAMES).max(1);
         let widest = Edge::new(EDGE_SIGMAS_PX.last().copied().unwrap_or(1.0));
         let trial = starts.iter().step_by(step).filter_map(|(index, start)| {
@@ -347,4 +382,37 @@ fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
     let mut values: Vec<f64> = values.collect();
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::CameraId;
+
+    #[test]
+    fn a_radius_known_at_two_instants_is_known_over_the_track() {
+        let stamped = |ms: i64| StampedMidpoint::from_nanos(1_000_000 * ms);
+        let point = |ms: i64| TrackPoint {
+            frame: ms as u64,
+            stamped: stamped(ms),
+            pixel: Pixel::new(0.0, 0.0),
+            covariance_px2: None,
+        };
+        let track = Track {
+            camera: CameraId::new("a").unwrap(),
+            track: 0,
+            points: vec![point(100), point(200), point(500)],
+        };
+        // 1/r from 1/2 at 200 ms to 1/4 at 400 ms: 3/8 in the middle at 300 ms, and by 1/2 less over the 400 ms of the track.
+        let (radius_px, growth) = KnownSize([(stamped(200), 2.0), (stamped(400), 4.0)])
+            .over(&track)
+            .unwrap();
+        assert!((radius_px - 8.0 / 3.0).abs() < 1e-12, "{radius_px}");
+        assert!((growth + 0.5 / 0.375).abs() < 1e-12, "{growth}");
+        let mut shared = Shared::start(3.0, 1.0, true);
+        shared.values[0] = radius_px;
+        shared.values[1] = growth;
+        assert!((shared.radius_px(0.25) - 4.0).abs() < 1e-12);
+        assert_eq!(KnownSize([(stamped(200), 2.0); 2]).over(&track), None);
+    }
 }

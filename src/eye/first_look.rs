@@ -3,8 +3,10 @@
 use nalgebra::Vector2;
 
 use super::EyeConfig;
-use crate::detection::{Answers, ChosenDetector, CutOuts, DetectionError, DetectorCounters, ExpectedBall};
-use crate::scene::{CameraId, Detection, ForeseenPath, ForeseenPlace, Frame, FrameStamp, RawFrame};
+use crate::detection::{
+    Answers, ChosenDetector, CutOuts, DetectionError, DetectorCounters, ExpectedBall, KnownSize,
+};
+use crate::scene::{CameraId, Detection, ForeseenPath, ForeseenPlace, Frame, FrameStamp, RawFrame, Track};
 use crate::tracking::{OpenPath, TrackKind, TrackedBall, Tracker, TrackerCounters};
 
 /// A ball that was missed in so many frames has most likely ended; the path is given up after some more.
@@ -23,6 +25,8 @@ pub struct EndedBall {
     pub ball: TrackedBall,
     /// What it looked like in every frame.
     pub cut_outs: Option<CutOuts>,
+    /// Its size, where other cameras have told its distance.
+    pub size: Option<KnownSize>,
 }
 
 /// A ball that still flies, with the cut-outs of its points so far.
@@ -33,6 +37,8 @@ pub struct FlyingBall {
     pub path: OpenPath,
     /// What it looked like in every frame.
     pub cut_outs: CutOuts,
+    /// Its size, where other cameras have told its distance.
+    pub size: Option<KnownSize>,
 }
 
 /// What a second look tells the first of this camera's balls: how far they move between frames at their slowest, how long
@@ -164,7 +170,8 @@ impl FirstLook {
         for ball in balls {
             let may_be_pitch = ball.kind == TrackKind::Pitch;
             let cut_outs = may_be_pitch.then(|| self.detector.cut_outs(&ball.track));
-            self.ended.push(EndedBall { ball, cut_outs });
+            let size = self.known_size(&ball.track);
+            self.ended.push(EndedBall { ball, cut_outs, size });
         }
     }
 
@@ -179,6 +186,7 @@ impl FirstLook {
         balls
             .map(|ball| EndedBall {
                 cut_outs: Some(self.detector.point_cut_outs(&ball.track)),
+                size: self.known_size(&ball.track),
                 ball,
             })
             .collect()
@@ -195,10 +203,14 @@ impl FirstLook {
         let told: Vec<FlyingBall> = open
             .iter()
             .filter(due)
-            .map(|path| FlyingBall {
-                camera: self.camera.clone(),
-                path: path.clone(),
-                cut_outs: self.detector.point_cut_outs(&path.track(&self.camera)),
+            .map(|path| {
+                let track = path.track(&self.camera);
+                FlyingBall {
+                    camera: self.camera.clone(),
+                    path: path.clone(),
+                    cut_outs: self.detector.point_cut_outs(&track),
+                    size: self.known_size(&track),
+                }
             })
             .collect();
         let newest = told.iter().filter_map(|ball| ball.path.newest_frame()).max();
@@ -226,6 +238,20 @@ impl FirstLook {
     /// there are accepted. It replaces the one before.
     pub fn foresee(&mut self, path: ForeseenPath) {
         self.foreseen = Some(path);
+    }
+
+    /// The size of this ball, if it is the foreseen one: most of its points are where that is.
+    fn known_size(&self, track: &Track) -> Option<KnownSize> {
+        let path = self.foreseen.as_ref()?;
+        let there = track.points.iter().filter_map(|point| {
+            let place = path.at(point.stamped)?;
+            let off_px = (point.pixel.vector() - place.centre.vector()).norm();
+            let near = off_px < expected_at(&place).reach_px + place.radius_px;
+            near.then_some((point.stamped, place.radius_px))
+        });
+        let there: Vec<_> = there.collect();
+        let (first, last) = (there.first()?, there.last()?);
+        (2 * there.len() > track.points.len()).then_some(KnownSize([*first, *last]))
     }
 
     /// What is to be added to the centres of balls in flight, by the last ball that was fitted, pixels.

@@ -6,7 +6,7 @@ use nalgebra::Vector2;
 
 use super::EyeConfig;
 use super::first_look::{BallStep, EndedBall, FlyingBall};
-use crate::detection::{CutOuts, Refined, Refinement, Refiner};
+use crate::detection::{CutOuts, KnownSize, Refined, Refinement, Refiner};
 use crate::scene::Track;
 use crate::tracking::{TrackKind, TrackShape, TrackedBall, TrackerConfig, polish, vote};
 
@@ -69,7 +69,10 @@ impl SecondLook {
     /// look at.
     pub fn look_ahead(&mut self, flying: &FlyingBall) -> bool {
         let track = flying.path.flight(&flying.camera, &self.tracker_config);
-        track.is_some_and(|track| self.refiner.look_ahead(&flying.cut_outs, &track))
+        track.is_some_and(|track| {
+            self.refiner
+                .look_ahead(&flying.cut_outs, &track, flying.size.as_ref())
+        })
     }
 
     /// Whether most of the work on this ball has been done while it flew.
@@ -80,7 +83,7 @@ impl SecondLook {
     /// Fits a ball whose path will most likely end as it is: [`Self::look`] then has only the frames to seek that the path
     /// lacks. Where it does not end so, nothing has happened.
     pub fn look_early(&mut self, ended: EndedBall) {
-        let fitted = self.fit(ended.ball, ended.cut_outs.as_ref());
+        let fitted = self.fit(ended.ball, ended.cut_outs.as_ref(), ended.size.as_ref());
         if self.early.len() >= EARLY_MAX {
             self.early.remove(0);
         }
@@ -90,12 +93,12 @@ impl SecondLook {
     /// Refines the centres of what may be a pitch, adds the frames in which the first look lost it, and trims what then
     /// shows not to be free flight. With it what the first look should know of this camera's balls.
     pub fn look(&mut self, ended: EndedBall) -> (TrackedBall, Option<BallStep>) {
-        let EndedBall { ball, cut_outs } = ended;
+        let EndedBall { ball, cut_outs, size } = ended;
         let same = |early: &Fitted| early.by_first_look.points == ball.track.points;
         let number = ball.track.track;
         let fitted = match self.early.iter().position(same) {
             Some(at) => self.early.remove(at),
-            None => self.fit(ball, cut_outs.as_ref()),
+            None => self.fit(ball, cut_outs.as_ref(), size.as_ref()),
         };
         let (mut ball, by_first_look) = self.complete(fitted, cut_outs.as_ref());
         ball.track.track = number;
@@ -117,9 +120,9 @@ impl SecondLook {
     }
 
     /// The centres of what may be a pitch, fitted.
-    fn fit(&self, mut ball: TrackedBall, cut_outs: Option<&CutOuts>) -> Fitted {
+    fn fit(&self, mut ball: TrackedBall, cut_outs: Option<&CutOuts>, size: Option<&KnownSize>) -> Fitted {
         let by_first_look = ball.track.clone();
-        let refined = cut_outs.and_then(|cut_outs| self.refiner.refine(cut_outs, &mut ball.track));
+        let refined = cut_outs.and_then(|cut_outs| self.refiner.refine(cut_outs, &mut ball.track, size));
         if let Some(refined) = &refined {
             self.judge(&mut ball, refined.refinement);
         }

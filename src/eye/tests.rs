@@ -193,6 +193,7 @@ fn a_ball_looked_at_in_flight_is_the_ball_looked_at_at_once() {
             let again = EndedBall {
                 ball: ended.ball.clone(),
                 cut_outs: ended.cut_outs.clone(),
+                size: ended.size,
             };
             let (one, other) = (at_once.look(ended).0.track, in_flight.look(again).0.track);
             assert!(one.points.len() > 40 && one.points.len() == other.points.len());
@@ -455,7 +456,7 @@ fn pitches_told(frames: impl Iterator<Item = crate::scene::Frame>, told_with: Op
 
 #[test]
 fn a_ball_that_a_camera_hardly_sees_is_found_where_the_others_see_it() {
-    for (shade, light, rms_px) in [(1.0, 9.0, 0.3), (4.0, 9.0, 0.3), (-8.0, -3.0, 1.0)] {
+    for (shade, light) in [(1.0, 9.0), (4.0, 9.0), (-8.0, -3.0)] {
         let case = format!("{shade} to {light} levels");
         let count = |tracks: &[Track]| tracks.iter().map(|t| t.points.len()).sum::<usize>();
         let alone = pitches_told(weak_frames(shade, light), None);
@@ -465,7 +466,10 @@ fn a_ball_that_a_camera_hardly_sees_is_found_where_the_others_see_it() {
         assert_eq!(pitches.len(), 1, "{case}");
         let score = Score::of(&pitches[0].points, |frame| flight(frame as f64 - 10.0));
         println!("from frame {}: {score:?}", pitches[0].points[0].frame);
-        assert!(score.points >= 30 && score.rms_px < rms_px, "{case}: {score:?}");
+        assert!(
+            score.points >= 30 && score.rms_px < 0.35 && score.nees < 2.0,
+            "{case}: {score:?}"
+        );
     }
 }
 

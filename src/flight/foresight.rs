@@ -10,19 +10,16 @@ use crate::time::TrueMidpoint;
 
 /// A place in every so many seconds: the picture of a pitch bends by less than 0.1 px between two.
 const STEP_S: f64 = 0.004;
-/// Frames that the cameras have not answered yet are no older than this, seconds before the newest point.
-const BACK_S: f64 = 0.12;
 /// A place that is worse than this (1σ) tells nobody where to look, pixels.
 const SIGMA_MAX_PX: f64 = 5.0;
 
-/// The way of this ball through a camera's picture, from the frames that are not yet searched to the plate.
+/// The way of this ball through a camera's picture, from where it was first seen to the plate.
 pub fn foresee(camera: &CameraCalibration, flight: &SolvedFlight) -> ForeseenPath {
     let (begin_s, end_s) = flight.trajectory.span_s();
-    let from_s = (flight.observed_s.1 - BACK_S).max(begin_s);
-    let steps = ((end_s - from_s) / STEP_S).clamp(0.0, 1000.0) as usize;
+    let steps = ((end_s - begin_s) / STEP_S).clamp(0.0, 1000.0) as usize;
     let mut places: Vec<ForeseenPlace> = Vec::with_capacity(steps + 1);
     for step in 0..=steps {
-        let Some(place) = place(camera, flight, from_s + STEP_S * step as f64) else {
+        let Some(place) = place(camera, flight, begin_s + STEP_S * step as f64) else {
             continue;
         };
         if places.last().is_none_or(|last| last.stamped < place.stamped) {
@@ -60,7 +57,7 @@ fn place(camera: &CameraCalibration, flight: &SolvedFlight, t_s: f64) -> Option<
         stamped: camera.timing().stamped_midpoint(truth, centre.y),
         centre,
         sigma_px,
-        radius_px: focal_px * BALL_RADIUS_M / seen.norm(),
+        radius_px: focal_px * BALL_RADIUS_M / seen.z,
     })
 }
 

@@ -12,7 +12,7 @@ pub struct ForeseenPlace {
     pub centre: Pixel,
     /// 1σ of it, the worse direction, pixels.
     pub sigma_px: f64,
-    /// The ball's radius, pixels.
+    /// The ball's radius as it would be on the lens's axis at this depth, pixels.
     pub radius_px: f64,
 }
 
