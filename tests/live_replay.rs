@@ -81,9 +81,13 @@ fn without_pauses(folder: &Path) {
     session.finish().unwrap();
 }
 
-fn replay(session: &Path, out: &Path) {
+fn replay(session: &Path, out: &Path, known: Option<&Path>) {
+    let known = known
+        .into_iter()
+        .flat_map(|file| [Path::new("--calibration"), file]);
     let status = Command::new(env!("CARGO_BIN_EXE_pitchd"))
         .args([Path::new("replay"), session, Path::new("--out"), out])
+        .args(known)
         .output()
         .unwrap();
     assert!(
@@ -100,6 +104,8 @@ struct Round {
     ptp: bool,
     /// How the cameras send their pixels.
     formats: [&'static str; 2],
+    /// Whether it begins with the calibration that the last run has made.
+    calibrated: bool,
     /// SIGTERM comes so many seconds after the session's begin; `None`: when all pitches are published.
     told_after_s: Option<f64>,
 }
@@ -126,10 +132,17 @@ fn published(folder: &Path) -> usize {
 /// Runs the daemon against two emulated cameras until it is time, then ends it by SIGTERM. In mid-pitch the cameras are
 /// known by their names, and each one's address is the other's: they are sought, and found.
 fn live(lab: &Lab, path: &Path, folder: &Path, round: Round) -> String {
+    let made = folder.join("live/calibration.json");
+    if round.calibrated && made.exists() {
+        std::fs::rename(made, folder.join("known.json")).unwrap();
+    }
     let _ = std::fs::remove_dir_all(folder.join("live"));
     let session = SessionReader::open(path).unwrap();
     std::fs::write(folder.join("rig.toml"), session.rig_toml().unwrap()).unwrap();
     let mut config = "rig = \"rig.toml\"\nresults = \"live\"\n".to_owned();
+    if round.calibrated {
+        config += "calibration = \"known.json\"\n";
+    }
     for (k, id) in CAMERAS.iter().enumerate() {
         let which = match round.told_after_s {
             None => format!("address = \"{}\"", Lab::address(k)),
@@ -282,7 +295,7 @@ impl Stage {
         let folder = tempfile::tempdir().unwrap();
         let session = folder.path().join("session");
         without_pauses(&session);
-        replay(&session, &folder.path().join("replay"));
+        replay(&session, &folder.path().join("replay"), None);
         Some(Self {
             lab,
             folder,
@@ -339,11 +352,32 @@ fn live_is_replay() {
         stage.run(Round {
             ptp,
             formats,
+            calibrated: false,
             told_after_s: None,
         });
         same_points(&stage.tracks("live"), &stage.tracks("replay"));
         same_numbers(&stage.pitches("live"), &stage.pitches("replay"), sigmas_max);
     }
+}
+
+/// With a calibration from the beginning cameras tell each other where the ball will be, and how large it is: live when the
+/// news has come, in a replay in step.
+#[test]
+fn what_cameras_tell_each_other_live_they_tell_in_a_replay() {
+    let Some(stage) = Stage::new('t') else { return };
+    for calibrated in [false, true] {
+        stage.run(Round {
+            ptp: true,
+            formats: ["Mono8"; 2],
+            calibrated,
+            told_after_s: None,
+        });
+    }
+    let folder = stage.folder.path();
+    let known = folder.join("replay/calibration.json");
+    replay(&stage.session(), &folder.join("replay-known"), Some(&known));
+    same_points(&stage.tracks("live"), &stage.tracks("replay-known"));
+    same_numbers(&stage.pitches("live"), &stage.pitches("replay-known"), 0.5);
 }
 
 /// SIGTERM while the last ball flies, with which the first calibration is to be made: nothing is published yet, and
@@ -356,6 +390,7 @@ fn a_ball_in_flight_at_sigterm_is_followed_to_its_end() {
     stage.run(Round {
         ptp: true,
         formats: ["Mono8"; 2],
+        calibrated: false,
         told_after_s: Some(in_mid_pitch_s(&session, &replayed)),
     });
     // The last frames that its path could have had are not waited for: it may end a point or two sooner or later.
