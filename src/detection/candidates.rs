@@ -98,3 +98,54 @@ fn in_window(
     };
     Some((detection, blob))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detection::painter::Canvas;
+    use crate::detection::{Answers, Detector};
+
+    /// Expects balls all over the picture, and counts what is found there.
+    #[derive(Default)]
+    struct Expecting {
+        expected: usize,
+        found: usize,
+    }
+
+    impl Answers for Expecting {
+        fn expect(&mut self, stamp: FrameStamp, expected: &mut Vec<ExpectedBall>) {
+            let places = (0..16u64).map(|k| ExpectedBall {
+                centre: Pixel::new(
+                    20.0 + 36.0 * k as f64,
+                    20.0 + ((37 * k + 11 * stamp.frame) % 200) as f64,
+                ),
+                reach_px: 5.0,
+                radius_px: 3.0,
+            });
+            expected.extend(places);
+            self.expected += 16;
+        }
+
+        fn answer(&mut self, _stamp: FrameStamp, detections: &[Detection]) {
+            self.found += detections.len();
+        }
+    }
+
+    #[test]
+    fn where_a_ball_is_expected_noise_is_none() {
+        for noise in [0.5, 1.5, 4.0] {
+            let stand = Canvas::stand(640, 240, 3, 40.0);
+            let mut detector = Detector::new(DetectorConfig::default(), 640, 240);
+            let mut answers = Expecting::default();
+            for number in 0..200 {
+                detector
+                    .detect(&stand.frame(number, 175.0, noise), &mut answers)
+                    .unwrap();
+            }
+            detector.flush(&mut answers);
+            let Expecting { expected, found } = answers;
+            println!("noise of {noise}: {found} candidates at {expected} places");
+            assert!(expected > 3000 && found <= expected / 1000);
+        }
+    }
+}
