@@ -24,6 +24,15 @@ impl Isa {
         Self::available().last().copied().unwrap_or(Self::Portable)
     }
 
+    /// The one to unpack with: of 64-byte vectors what unpacks byte by byte measured twice as slow as of 32-byte ones.
+    pub fn to_unpack() -> Self {
+        if Self::available().contains(&Self::Avx2) {
+            Self::Avx2
+        } else {
+            Self::Portable
+        }
+    }
+
     /// All this machine runs, narrowest first.
     pub fn available() -> &'static [Self] {
         #[cfg(target_arch = "x86_64")]

@@ -48,7 +48,7 @@ impl UnpackedFrames {
             return Some(frame);
         }
         let mut levels = self.spare(pixels);
-        Kernels::new(Isa::detect()).unpack(raw.format, raw.bytes(), Arc::get_mut(&mut levels)?);
+        Kernels::new(Isa::to_unpack()).unpack(raw.format, raw.bytes(), Arc::get_mut(&mut levels)?);
         Some(self.frame(raw, levels))
     }
 }
@@ -71,12 +71,13 @@ impl Detector {
         let mut changed = self.history.spare_map(self.width_px, self.height_px);
         let previous = self.history.newest().map(|seen| seen.frame.clone());
         let mut levels = self.unpacked.spare(pixels);
+        let unpacking = Kernels::new(Isa::to_unpack());
         if let Some(levels) = Arc::get_mut(&mut levels) {
             let band_pixels = self.width_px * TILE_HEIGHT_PX;
             // Eight rows of any width end with a byte.
             let packed = raw.bytes().chunks(raw.format.bytes(band_pixels));
             for (band, (packed, levels)) in packed.zip(levels.chunks_mut(band_pixels)).enumerate() {
-                self.kernels.unpack(raw.format, packed, levels);
+                unpacking.unpack(raw.format, packed, levels);
                 let begin = band * band_pixels;
                 let before = previous.as_ref().map(|frame| frame.bytes());
                 if let Some(before) = before.and_then(|all| all.get(begin..begin + levels.len())) {
