@@ -5,6 +5,7 @@ use std::ops::Range;
 
 use super::config::TrackerConfig;
 use super::curve::{Curve, Sample, Stiffness};
+use super::depth::Depth;
 use super::hypothesis::{Hypothesis, Point, gain, light_variance_px2, local_curve};
 use super::open::point_of;
 use super::polish::{CENTROID_FLOOR_PX, polish};
@@ -201,9 +202,11 @@ fn grow<'a>(path: &mut Vec<Point>, next: impl Iterator<Item = &'a Point>) {
 /// tried at a few places each, then those between the first smooth one and the last that was not: all lengths and places
 /// of a rough path of hundreds of points would be tens of thousands of fits.
 fn smooth_part(points: &[Point], degree_max: usize) -> Option<Range<usize>> {
+    let samples: Vec<Sample> = points.iter().map(Point::sample).collect();
+    let depth = Depth::of(&samples);
     let is_smooth = |range: &Range<usize>| {
-        let stretch = points.get(range.clone());
-        stretch.is_some_and(|stretch| roughness_px(stretch, degree_max) < TRIM_RMS_PX)
+        let stretch = samples.get(range.clone());
+        stretch.is_some_and(|stretch| roughness_px(stretch, &depth, degree_max) < TRIM_RMS_PX)
     };
     let smooth_of = |length: usize, places_max: usize| {
         let spare = points.len() - length;
@@ -227,14 +230,13 @@ fn smooth_part(points: &[Point], degree_max: usize) -> Option<Range<usize>> {
 }
 
 /// Rms distance from one smooth curve.
-fn roughness_px(points: &[Point], degree_max: usize) -> f64 {
-    let samples: Vec<Sample> = points.iter().map(Point::sample).collect();
+fn roughness_px(samples: &[Sample], depth: &Depth, degree_max: usize) -> f64 {
     let degree = (samples.len() / 6).clamp(2, degree_max);
     let stiffness = Stiffness {
         degree,
         acceleration_sigma: f64::INFINITY,
     };
-    let Some(curve) = Curve::fit(&samples, stiffness) else {
+    let Some(curve) = depth.fit(samples, stiffness) else {
         return f64::INFINITY;
     };
     let squares: f64 = samples

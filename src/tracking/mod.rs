@@ -7,6 +7,7 @@
 
 mod config;
 mod curve;
+mod depth;
 mod ending;
 mod hypothesis;
 mod open;

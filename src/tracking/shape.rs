@@ -4,6 +4,7 @@ use nalgebra::Vector2;
 
 use super::config::TrackerConfig;
 use super::curve::{Curve, Sample, Stiffness};
+use super::depth::{Depth, DepthCurve};
 use crate::scene::Track;
 
 /// Largest rms distance of a ball's points from a smooth curve, pixels.
@@ -99,13 +100,11 @@ impl TrackShape {
             })
             .collect();
         let degree = (samples.len() / 4).clamp(1, 4);
-        let curve = Curve::fit(
-            &samples,
-            Stiffness {
-                degree,
-                acceleration_sigma: f64::INFINITY,
-            },
-        )?;
+        let stiffness = Stiffness {
+            degree,
+            acceleration_sigma: f64::INFINITY,
+        };
+        let curve = Depth::of(&samples).fit(&samples, stiffness)?;
         let span_s = end.seconds_since(epoch);
         let (first, last) = (samples.first()?, samples.last()?);
         let velocity = (last.position_px - first.position_px) / span_s.max(1e-9);
@@ -206,7 +205,7 @@ fn pull_px_per_s2(samples: &[Sample], span_s: f64) -> f64 {
 }
 
 /// Rms distance from a curve, less what shaking stamps make of it along the motion.
-fn roughness_px(samples: &[Sample], curve: &Curve, velocity: Vector2<f64>) -> f64 {
+fn roughness_px(samples: &[Sample], curve: &DepthCurve, velocity: Vector2<f64>) -> f64 {
     let along = velocity.try_normalize(1e-9).unwrap_or_else(Vector2::x);
     let (mut along_px2, mut across_px2) = (0.0, 0.0);
     for sample in samples {
@@ -350,7 +349,7 @@ mod tests {
                 degree: 2,
                 acceleration_sigma: f64::INFINITY,
             };
-            Curve::fit(samples, level).unwrap()
+            Depth::of(samples).fit(samples, level).unwrap()
         };
         // 0.5 px forth and back, along the motion of 3500 px/s or across it.
         let shaken = |along: f64, across: f64| {
