@@ -7,15 +7,14 @@ use std::ops::Range;
 use nalgebra::Vector2;
 
 use super::dispatch::{Kernels, fetch_ahead};
+use super::extents::{Extent, Extents};
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::regions::RegionNoise;
 use super::tiles::TileMap;
 
 /// Most runs of changed pixels kept for one frame.
 const RUNS_MAX: usize = 16_384;
-/// Blobs this near become one, if the result is no larger than this and the frame holds no more than so many.
-const JOIN_GAP_PX: u32 = 2;
-const JOINED_SIDE_PX: u32 = 26;
+/// Blobs next to each other become one if the frame holds no more than so many.
 const JOINED_BLOBS_MAX: usize = 400;
 /// Of a blob with a longer side one run in so many is read.
 pub const LARGE_SIDE_PX: usize = 48;
@@ -46,8 +45,14 @@ impl Images<'_> {
     /// Columns and rows of a square around a place, within the image.
     pub fn around(&self, x_px: f64, y_px: f64, reach_px: f64) -> (Range<usize>, Range<usize>) {
         let span = |centre: f64, size: usize| {
-            let low = (centre - reach_px).ceil().max(0.0) as usize;
-            let high = ((centre + reach_px).floor() + 1.0).clamp(0.0, size as f64) as usize;
+            // To whole pixels without `ceil` and `floor`, which are calls where the target has no instruction for them.
+            let (low, high) = ((centre - reach_px).max(0.0), centre + reach_px);
+            let low = low as usize + usize::from(low as usize as f64 != low);
+            let high = if high < 0.0 {
+                0
+            } else {
+                size.min((high as usize).saturating_add(1))
+            };
             low.min(high)..high
         };
         (span(x_px, self.width_px), span(y_px, self.height_px))
@@ -97,34 +102,11 @@ pub struct BlobFinder {
     masks: Vec<[u64; TILE_HEIGHT_PX]>,
     runs: Vec<Run>,
     blob_of_run: Vec<usize>,
-    extents: Vec<Extent>,
+    extents: Extents,
     /// The blobs of the last search.
     pub blobs: Vec<Blob>,
     /// Whether the last search ran out of runs.
     pub overflowed: bool,
-}
-
-/// A blob's first and last column, first and last row: all that many of them are sifted by.
-#[derive(Debug, Clone, Copy)]
-struct Extent([u32; 4]);
-
-impl Extent {
-    /// No other is near this one.
-    const NONE: Self = Self([u32::MAX - JOIN_GAP_PX, 0, 0, 0]);
-
-    /// Whether both are within [`JOIN_GAP_PX`] of each other.
-    fn is_near(&self, other: &Self) -> bool {
-        let ([left, right, top, bottom], [o_left, o_right, o_top, o_bottom]) = (self.0, other.0);
-        let by_columns = (left <= o_right + JOIN_GAP_PX) & (o_left <= right + JOIN_GAP_PX);
-        by_columns & (top <= o_bottom + JOIN_GAP_PX) & (o_top <= bottom + JOIN_GAP_PX)
-    }
-
-    /// Whether both together are no larger than [`JOINED_SIDE_PX`].
-    fn fits_with(&self, other: &Self) -> bool {
-        let ([left, right, top, bottom], [o_left, o_right, o_top, o_bottom]) = (self.0, other.0);
-        right.max(o_right) - left.min(o_left) < JOINED_SIDE_PX
-            && bottom.max(o_bottom) - top.min(o_top) < JOINED_SIDE_PX
-    }
 }
 
 impl Blob {
@@ -146,7 +128,7 @@ impl Blob {
     }
 
     fn extent(&self) -> Extent {
-        Extent([self.left, self.right, self.top, self.bottom].map(|place| place as u32))
+        [self.left, self.right, self.top, self.bottom].map(|place| place as u32)
     }
 
     fn join(&mut self, other: &Blob) {
@@ -171,16 +153,24 @@ impl BlobFinder {
         }
         self.blobs.sort_unstable_by_key(|blob| (blob.top, blob.left));
         self.extents.clear();
-        self.extents.extend(self.blobs.iter().map(Blob::extent));
+        self.blobs
+            .iter()
+            .for_each(|blob| self.extents.push(blob.extent()));
         for index in 0..self.blobs.len() {
             let Some(mut blob) = self.blobs.get(index).copied().filter(|blob| blob.area_px > 0) else {
                 continue;
             };
-            while let Some(next) = self.next_to(index, blob.extent()) {
-                if let (Some(taken), Some(extent)) = (self.blobs.get_mut(next), self.extents.get_mut(next)) {
+            let beside = |extents: &Extents, blob: &Blob| {
+                let next = self
+                    .kernels
+                    .first_beside(extents.from(index + 1), blob.extent())?;
+                Some(index + 1 + next)
+            };
+            while let Some(next) = beside(&self.extents, &blob) {
+                self.extents.take_out(next);
+                if let Some(taken) = self.blobs.get_mut(next) {
                     blob.join(taken);
                     taken.area_px = 0;
-                    *extent = Extent::NONE;
                 }
             }
             if let Some(slot) = self.blobs.get_mut(index) {
@@ -188,16 +178,6 @@ impl BlobFinder {
             }
         }
         self.blobs.retain(|blob| blob.area_px > 0);
-    }
-
-    /// The first blob after one that it is joined with.
-    fn next_to(&self, index: usize, extent: Extent) -> Option<usize> {
-        let bottom = extent.0[3] + JOIN_GAP_PX;
-        let later = self.extents.iter().enumerate().skip(index + 1);
-        let mut near = later
-            .take_while(|(_, other)| other.0[2] <= bottom)
-            .filter(|(_, other)| other.is_near(&extent) && other.fits_with(&extent));
-        near.next().map(|(next, _)| next)
     }
 
     /// Buffers for an image this wide.
@@ -209,7 +189,7 @@ impl BlobFinder {
             masks: Vec::with_capacity(tiles),
             runs: Vec::with_capacity(RUNS_MAX),
             blob_of_run: Vec::with_capacity(RUNS_MAX),
-            extents: Vec::with_capacity(JOINED_BLOBS_MAX),
+            extents: Extents::default(),
             blobs: Vec::with_capacity(RUNS_MAX),
             overflowed: false,
         }
@@ -218,7 +198,7 @@ impl BlobFinder {
     /// Asks for the memory of tiles that are searched soon.
     pub fn fetch_ahead(&self, images: &Images<'_>, tiles: &TileMap) {
         let mut left = TILES_AHEAD_MAX;
-        for band in 0..images.height_px.div_ceil(TILE_HEIGHT_PX) {
+        for band in tiles.bands() {
             for column in tiles.columns(band).take(left) {
                 left -= 1;
                 let begin = band * TILE_HEIGHT_PX * images.width_px + column * TILE_WIDTH_PX;
@@ -239,12 +219,12 @@ impl BlobFinder {
         self.blobs.clear();
         self.overflowed = false;
         let mut previous_row = 0..0;
-        for band in 0..images.height_px.div_ceil(TILE_HEIGHT_PX) {
+        for band in tiles.bands() {
             if !self.mask_band(images, tiles, band, noise) {
                 continue;
             }
             let top = band * TILE_HEIGHT_PX;
-            for row in 0..TILE_HEIGHT_PX.min(images.height_px - top) {
+            for row in 0..TILE_HEIGHT_PX.min(images.height_px.saturating_sub(top)) {
                 let begin = self.runs.len();
                 if !self.take_row_runs((top + row) as u32, row) {
                     self.overflowed = true;

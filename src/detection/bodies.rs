@@ -1,9 +1,9 @@
 //! Large bodies that move: groups of changed tiles larger than any ball.
 //!
 //! Pixel by pixel a few players cost more than the whole scan. So where there are many, nothing is gathered within them:
-//! they are searched for spots in front of them ([`super::movers`]). What is small, or all there is, is gathered.
+//! they are searched for spots in front of them ([`super::movers`]), and so are their larger fragments: what changes much
+//! and often raises its own thresholds, and falls apart. What may be a ball by its size, or is all there is, is gathered.
 
-use super::kernel::TILE_HEIGHT_PX;
 use super::tiles::TileMap;
 
 /// A body has at least so many rows of tiles, or columns of them: more than the largest ball.
@@ -11,8 +11,10 @@ const BODY_BANDS_MIN: usize = 6;
 const BODY_COLUMNS_MIN: usize = 4;
 /// Rows and columns of tiles that may be missing between two parts of one body.
 const GAP_TILES: usize = 1;
-/// Tiles of large groups that are gathered like small ones if that is all of them, else those of the smallest groups.
+/// Tiles of large groups that are gathered like small ones if that is all of them.
 const GATHERED_TILES_MAX: usize = 96;
+/// Of many, groups of no more tiles than a ball's are gathered, and of the others the smallest with so many tiles in all.
+const BALL_TILES_MAX: usize = 6;
 const GATHERED_OF_MANY_MAX: usize = 16;
 
 /// A group of tiles: first and last column and band.
@@ -69,10 +71,10 @@ impl Bodies {
     }
 
     /// Finds the bodies of a frame, and takes their tiles out of those given.
-    pub fn find(&mut self, tiles: &mut TileMap, height_px: usize) {
+    pub fn find(&mut self, tiles: &mut TileMap) {
         self.large.clear();
         self.tiles.clear();
-        for band in 0..height_px.div_ceil(TILE_HEIGHT_PX) {
+        for band in tiles.bands() {
             for column in tiles.columns(band) {
                 let known = self
                     .large
@@ -89,11 +91,13 @@ impl Bodies {
                 }
             }
         }
-        self.large.retain(Body::is_large);
+        let large = self.large.iter().filter(|body| body.is_large());
+        let many = large.map(|body| body.tiles).sum::<usize>() > GATHERED_TILES_MAX;
+        self.large
+            .retain(|body| body.is_large() || many && body.tiles > BALL_TILES_MAX);
         self.large
             .sort_unstable_by_key(|body| std::cmp::Reverse(body.tiles));
-        let all: usize = self.large.iter().map(|body| body.tiles).sum();
-        let mut left = if all > GATHERED_TILES_MAX {
+        let mut left = if many {
             GATHERED_OF_MANY_MAX
         } else {
             GATHERED_TILES_MAX
@@ -139,12 +143,36 @@ mod tests {
         let ball = [(12, 20), (13, 20), (13, 21)];
         let mut map = tiles(player(4).chain(player(40)).chain(ball));
         let mut bodies = Bodies::new(2048, 400);
-        bodies.find(&mut map, 400);
+        bodies.find(&mut map);
         assert_eq!(bodies.large.len(), 2);
         assert_eq!(map, tiles(ball.into_iter()));
         let body = bodies.large.iter().find(|body| body.columns.0 == 4).unwrap();
         let found: Vec<(usize, usize)> = bodies.tiles(body).collect();
         assert_eq!(found, player(4).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn larger_fragments_of_many_are_bodies_too() {
+        let player =
+            |column: usize| (10..34).flat_map(move |band| (column..column + 3).map(move |c| (band, c)));
+        let fragment = |band: usize| (band..band + 3).flat_map(|band| (20..23).map(move |c| (band, c)));
+        let ball = [(2, 30), (2, 31), (3, 30), (3, 31), (4, 30), (4, 31)];
+        let mut map = tiles(
+            player(4)
+                .chain(player(40))
+                .chain(fragment(10))
+                .chain(fragment(30))
+                .chain(ball),
+        );
+        let mut bodies = Bodies::new(2048, 400);
+        bodies.find(&mut map);
+        // One fragment is gathered, for the other there is no room.
+        assert_eq!(bodies.large.len(), 3);
+        assert_eq!(map.count(), 9 + ball.len());
+        assert!(
+            ball.iter()
+                .all(|(band, column)| map.columns(*band).any(|c| c == *column))
+        );
     }
 
     #[test]
@@ -154,7 +182,7 @@ mod tests {
             .chain((20..40).map(|band| (band, 60)));
         let mut map = tiles(players.clone());
         let mut bodies = Bodies::new(2048, 400);
-        bodies.find(&mut map, 400);
+        bodies.find(&mut map);
         assert!(bodies.large.is_empty());
         assert_eq!(map, tiles(players));
     }

@@ -1,13 +1,15 @@
 //! One camera's detector: takes frames in time order, answers each a few frames later.
 
-use super::blobs::{Blob, BlobFinder, Images, LARGE_SIDE_PX};
+use super::blobs::{BlobFinder, Images, LARGE_SIDE_PX};
 use super::bodies::Bodies;
 use super::candidates::{apart, candidate, look_at, small_ball};
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
 use super::error::{DetectionError, check_size};
+use super::finds::{Behind, Finds};
 use super::history::{History, Triple};
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
+use super::looked::Looked;
 use super::movers::MoverSearch;
 use super::packed::UnpackedFrames;
 use super::patches::PatchPool;
@@ -82,55 +84,6 @@ pub struct DetectorCounters {
     pub waited: u64,
 }
 
-/// Which frames show what is behind a candidate.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Behind {
-    /// Those `lag_frames` away: the ball is elsewhere.
-    Far,
-    /// Those shortly before and after: what moves behind the ball is nearly where it was.
-    Near,
-}
-
-/// A candidate, with what its cut-out is made of.
-struct Found {
-    detection: Detection,
-    blob: Blob,
-    behind: Behind,
-}
-
-/// The candidates of a frame, each with its number as it was found.
-#[derive(Default)]
-struct Finds(Vec<(usize, Found)>);
-
-impl Finds {
-    fn push(&mut self, detection: Detection, blob: Blob, behind: Behind) {
-        let number = self.0.len();
-        self.0.push((
-            number,
-            Found {
-                detection,
-                blob,
-                behind,
-            },
-        ));
-    }
-
-    fn all(&self) -> impl Iterator<Item = &Found> {
-        self.0.iter().map(|(_, found)| found)
-    }
-
-    /// Keeps the strongest, those first; of equal ones the first found. Gives how many went.
-    fn keep_strongest(&mut self, most: usize) -> usize {
-        self.0.sort_unstable_by(|(a, one), (b, other)| {
-            let stronger = other.detection.strength.total_cmp(&one.detection.strength);
-            stronger.then(a.cmp(b))
-        });
-        let extra = self.0.len().saturating_sub(most);
-        self.0.truncate(most);
-        extra
-    }
-}
-
 /// One camera's detector.
 pub struct Detector {
     config: DetectorConfig,
@@ -147,6 +100,7 @@ pub struct Detector {
     blobs: BlobFinder,
     bodies: Bodies,
     movers: MoverSearch,
+    looked: Looked,
     found: Finds,
     expected: Vec<ExpectedBall>,
     detections: Vec<Detection>,
@@ -178,7 +132,8 @@ impl Detector {
             blobs: BlobFinder::new(width, Kernels::new(isa)),
             bodies: Bodies::new(width, height),
             movers: MoverSearch::new(Kernels::new(isa)),
-            found: Finds(Vec::with_capacity(1024)),
+            looked: Looked::default(),
+            found: Finds::new(),
             expected: Vec::with_capacity(64),
             patches: PatchPool::new(config.patch_bytes),
             detections: Vec::with_capacity(config.candidates_max + 1),
@@ -230,6 +185,7 @@ impl Detector {
     /// Takes a frame that has been scanned, and decides what can be decided.
     pub(super) fn take(&mut self, frame: Frame, changed: Option<TileMap>, answers: &mut dyn Answers) {
         self.history.push(frame, changed);
+        self.look_ahead();
         let newest = self.history.count() - 1;
         loop {
             let needs = if self.next_answer < self.lag {
@@ -262,6 +218,7 @@ impl Detector {
             self.answer_next(true, answers);
         }
         self.history.restart();
+        self.looked.restart();
         self.next_answer = 0;
         self.lag = self.next_lag;
     }
@@ -301,47 +258,78 @@ impl Detector {
         let index = self.next_answer;
         self.next_answer += 1;
         self.detections.clear();
-        self.found.0.clear();
+        self.found.clear();
         // Out of `self` for now: the images borrow from it while the rest of `self` works.
         let history = std::mem::take(&mut self.history);
         if let Some(triple) = history.triple(index, self.lag, ended) {
             self.counters.waited += (history.count() - 1 - index) as u64;
             let near = history.near(index, near_step(self.lag));
-            self.answer(&triple, near, answers);
+            self.answer((index, &triple), near.as_ref(), answers);
         } else {
             self.counters.unanswered += 1;
         }
         self.history = history;
     }
 
-    fn answer(&mut self, triple: &Triple<'_>, near: Option<(&Frame, &Frame)>, answers: &mut dyn Answers) {
-        let stamp = triple.current.frame.stamp;
+    /// Looks in front of the large bodies of frames whose near ones are there, for their answer later.
+    fn look_ahead(&mut self) {
+        let step = near_step(self.lag);
+        let history = std::mem::take(&mut self.history);
+        for index in self.looked.next.max(self.next_answer)..history.count().saturating_sub(step) {
+            self.looked.next = index + 1;
+            if let Some(near) = history.near(index, step)
+                && self.take_tiles(&near)
+            {
+                let images = self.images(&near);
+                self.look_before_bodies((index, &images), near.current.frame.stamp);
+            }
+        }
+        self.history = history;
+    }
+
+    /// The tiles that changed before and after a frame; `false` where they are too many.
+    fn take_tiles(&mut self, triple: &Triple<'_>) -> bool {
         self.tiles
             .set_both(triple.current.changed.as_ref(), triple.changed_after);
         let bound = self.config.busy_fraction_max * ((self.width_px * self.height_px) as f64)
             / ((TILE_WIDTH_PX * TILE_HEIGHT_PX) as f64);
-        if self.tiles.count() as f64 > bound.max(16.0) {
-            self.counters.global_changes += 1;
-            answers.answer(stamp, &[]);
-            return;
-        }
-        let images = Images {
+        self.tiles.count() as f64 <= bound.max(16.0)
+    }
+
+    fn images<'a>(&self, triple: &Triple<'a>) -> Images<'a> {
+        Images {
             kernels: self.kernels,
             width_px: self.width_px,
             height_px: self.height_px,
             current: triple.current.frame.bytes(),
             one: triple.one.bytes(),
             other: triple.other.bytes(),
-        };
-        let near = near.map(|(one, other)| Images {
-            one: one.bytes(),
-            other: other.bytes(),
-            ..images
-        });
-        if let Some(near) = &near {
-            self.bodies.find(&mut self.tiles, self.height_px);
+        }
+    }
+
+    fn answer(
+        &mut self,
+        (index, triple): (usize, &Triple<'_>),
+        near: Option<&Triple<'_>>,
+        answers: &mut dyn Answers,
+    ) {
+        let stamp = triple.current.frame.stamp;
+        if !self.take_tiles(triple) {
+            self.counters.global_changes += 1;
+            answers.answer(stamp, &[]);
+            return;
+        }
+        let images = self.images(triple);
+        let near = near.map(|near| self.images(near));
+        if let Some(near) = near.as_ref().filter(|_| self.looked.next <= index) {
+            self.looked.next = index + 1;
+            self.look_before_bodies((index, near), stamp);
+        }
+        if self.looked.take_rest(index, &mut self.tiles) {
             self.blobs.fetch_ahead(&images, &self.tiles);
-            self.look_before_bodies(near, stamp);
+        }
+        while let Some((found, spot)) = self.looked.take_spot(index) {
+            self.found.push(found, spot, Behind::Near);
         }
         self.find_blobs(&images);
         self.look_into_blobs(&images, near.as_ref(), stamp);
@@ -378,15 +366,24 @@ impl Detector {
     }
 
     /// Spots in front of large bodies, where there are many; their tiles are not searched further.
-    fn look_before_bodies(&mut self, near: &Images<'_>, stamp: FrameStamp) {
-        for body in &self.bodies.large {
+    fn look_before_bodies(&mut self, (index, near): (usize, &Images<'_>), stamp: FrameStamp) {
+        self.bodies.find(&mut self.tiles);
+        self.looked.keep_rest(index, &self.tiles);
+        let bodies = &self.bodies.large;
+        if let Some(first) = bodies.first() {
+            self.movers.fetch_first(near, self.bodies.tiles(first));
+        }
+        for (number, body) in bodies.iter().enumerate() {
+            if let Some(next) = bodies.get(number + 1) {
+                self.movers.fetch_first(near, self.bodies.tiles(next));
+            }
             let (band, column) = body.middle();
             let sigma = self.scan.noise.difference_sigma(band, column);
             let limits = spot_limits(&self.config, self.lag, sigma);
             let tiles = self.bodies.tiles(body);
             for (moments, spot) in self.movers.find_in_front(near, tiles, limits, sigma) {
                 if let Some(found) = candidate(&self.config, stamp, &moments) {
-                    self.found.push(found, spot, Behind::Near);
+                    self.looked.keep_spot(index, found, spot);
                 }
             }
         }

@@ -1,6 +1,7 @@
 //! Chooses the instruction set of the pixel loops at run time; the only file of the room with `unsafe`.
 #![allow(unsafe_code)]
 
+use super::extents::{self, Columns, Extent};
 use super::fronts::{self, Piece};
 use super::kernel::{self, Limits, WindowSums};
 use super::lanes::{Look, PixelLanes, Sums};
@@ -197,4 +198,9 @@ dispatched!(
     row_in_front(
         images: (&[u8], &[u8], &[u8]), size: (usize, usize), place: (usize, usize), limits: (usize, u8), changes: &mut Piece
     ) -> bool
+);
+dispatched!(
+    extents:
+    /// See [`extents::first_beside`].
+    first_beside(all: Columns<'_>, of: Extent) -> Option<usize>
 );

@@ -90,10 +90,19 @@ impl History {
         self.seen.get(index.checked_sub(self.first_index)?)
     }
 
-    /// The frames `step` before and after frame `index`, where both are there.
-    pub fn near(&self, index: usize, step: usize) -> Option<(&Frame, &Frame)> {
-        let before = self.get(index.checked_sub(step)?)?;
-        Some((&before.frame, &self.get(index + step)?.frame))
+    /// The frame `index` with those `step` before and after, where all are there.
+    pub fn near(&self, index: usize, step: usize) -> Option<Triple<'_>> {
+        let (one, other) = (self.get(index.checked_sub(step)?)?, self.get(index + step)?);
+        Some(self.with(self.get(index)?, index, (one, other)))
+    }
+
+    fn with<'a>(&'a self, current: &'a Seen, index: usize, (one, other): (&'a Seen, &'a Seen)) -> Triple<'a> {
+        Triple {
+            current,
+            one: &one.frame,
+            other: &other.frame,
+            changed_after: self.get(index + 1).and_then(|next| next.changed.as_ref()),
+        }
     }
 
     /// The frame `index` with references `lag` away: one on each side, or two on the side that has them.
@@ -121,12 +130,6 @@ impl History {
                 .find(|(a, b)| *a != index && *b != index && a != b)
                 .and_then(|(a, b)| self.get(a).zip(self.get(b)));
         }
-        let (one, other) = chosen?;
-        Some(Triple {
-            current,
-            one: &one.frame,
-            other: &other.frame,
-            changed_after: self.get(index + 1).and_then(|next| next.changed.as_ref()),
-        })
+        Some(self.with(current, index, chosen?))
     }
 }

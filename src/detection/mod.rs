@@ -23,6 +23,8 @@ mod detector;
 mod disc;
 mod dispatch;
 mod error;
+mod extents;
+mod finds;
 mod fit;
 mod fronts;
 mod history;
@@ -30,6 +32,7 @@ mod kernel;
 #[cfg(test)]
 mod lag_tests;
 mod lanes;
+mod looked;
 mod movers;
 mod packed;
 mod packing;

@@ -7,12 +7,15 @@ use std::collections::VecDeque;
 use nalgebra::Vector2;
 
 use super::blobs::{Blob, Images};
+use super::dispatch::fetch_ahead;
 use crate::geometry::Pixel;
 use crate::scene::{Detection, Track, TrackPoint};
 use crate::time::StampedMidpoint;
 
 /// Pixels around a blob's box that are kept too.
 const MARGIN_PX: usize = 6;
+/// While a row is copied, the memory of one so many below is asked for.
+const ROWS_AHEAD: usize = 6;
 /// A cut-out reaches at most this far from the centre: radii and streaks of the candidate, and pixels beyond.
 const REACH_RADII: f64 = 2.0;
 const REACH_STREAKS: f64 = 0.6;
@@ -130,6 +133,9 @@ impl PatchPool {
         for source in [images.current, images.one, images.other] {
             for y in top..top + height {
                 let from = y * images.width_px + left;
+                let later = from + ROWS_AHEAD * images.width_px;
+                fetch_ahead(source, later);
+                fetch_ahead(source, later + width - 1);
                 if let (Some(to), Some(row)) = (
                     self.bytes.get_mut(write..write + width),
                     source.get(from..from + width),

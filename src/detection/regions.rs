@@ -89,14 +89,18 @@ impl RegionNoise {
 
     fn set_threshold(&mut self, index: usize, levels: u8) {
         let (row, column) = (index / self.columns, index % self.columns);
+        let first = column * REGION_TILES;
+        let last = (first + REGION_TILES).min(self.tile_columns);
         for band in row * REGION_BANDS..((row + 1) * REGION_BANDS).min(self.bands) {
-            for tile in column * REGION_TILES..((column + 1) * REGION_TILES).min(self.tile_columns) {
-                let at = band * self.tile_columns + tile;
-                if let (Some(true), Some(threshold)) = (self.searched.get(at), self.threshold.get_mut(at)) {
-                    *threshold = levels;
+            let tiles = band * self.tile_columns + first..band * self.tile_columns + last;
+            if let (Some(all), Some(searched)) =
+                (self.threshold.get_mut(tiles.clone()), self.searched.get(tiles))
+            {
+                for (threshold, searched) in all.iter_mut().zip(searched) {
+                    *threshold = if *searched { levels } else { u8::MAX };
                 }
             }
-            self.set_lowest(band, column * REGION_TILES / SEGMENT_TILES);
+            self.set_lowest(band, first / SEGMENT_TILES);
         }
     }
 

@@ -75,6 +75,14 @@ impl TileMap {
         self.words.iter().map(|w| w.count_ones() as usize).sum()
     }
 
+    /// The bands with tiles set, rising.
+    pub fn bands(&self) -> impl Iterator<Item = usize> + '_ {
+        let bands = self.words.chunks(self.words_per_band.max(1)).enumerate();
+        bands
+            .filter(|(_, words)| words.iter().any(|word| *word != 0))
+            .map(|(band, _)| band)
+    }
+
     /// Columns of the tiles set in one band, rising.
     pub fn columns(&self, band: usize) -> impl Iterator<Item = usize> + '_ {
         let begin = band * self.words_per_band;
