@@ -21,7 +21,9 @@ Examples:
   pitchd replay recordings/bullpen --out result
   pitchd replay /data/2026-05-01 --rig moved.toml --calibration result/calibration.json --pace real
 
-Without --calibration the session's own pitches calibrate the cameras first; then all of them are solved.
+Without --calibration the session's own pitches calibrate the cameras once all is searched; then all of them are solved.
+With it the cameras tell each other where a ball will be while they are searched, as they do live: a camera that hardly
+sees the ball finds more of it.
 A damaged session is replayed as far as it can be read; what is lost is named, and the exit code is 1.";
 
 /// Arguments of `pitchd replay`.

@@ -25,7 +25,9 @@ pub fn candidate(config: &DetectorConfig, stamp: FrameStamp, found: &Moments) ->
     let streak = found.streak_px.norm();
     let fits = (smallest * 0.4..=largest).contains(&found.radius_px) && streak <= 5.0 * largest;
     let (x, y) = (found.centre_px.x, found.centre_px.y);
-    if !fits || config.masks.iter().any(|mask| mask.contains(x, y)) {
+    // A look at an expected place is not bound to the tiles that were scanned.
+    let wanted = config.regions.is_empty() || config.regions.iter().any(|region| region.contains(x, y));
+    if !fits || !wanted || config.masks.iter().any(|mask| mask.contains(x, y)) {
         return None;
     }
     Some(Detection {
@@ -147,5 +149,43 @@ mod tests {
             println!("noise of {noise}: {found} candidates at {expected} places");
             assert!(expected > 3000 && found <= expected / 1000);
         }
+    }
+
+    #[test]
+    fn an_expected_ball_outside_the_regions_is_none() {
+        let region = |x_px| crate::scene::PixelRect {
+            x_px,
+            y_px: 0,
+            width_px: 320,
+            height_px: 240,
+        };
+        let found = |regions: Vec<crate::scene::PixelRect>| {
+            let config = DetectorConfig {
+                regions,
+                ..DetectorConfig::default()
+            };
+            let stand = Canvas::stand(640, 240, 3, 40.0);
+            let mut detector = Detector::new(config, 640, 240);
+            let mut answers = Expecting::default();
+            for number in 0..200u64 {
+                let mut canvas = stand.clone();
+                // At one of the expected places, in the left half.
+                canvas.ball(&crate::detection::painter::Ball {
+                    centre: [20.0 + 36.0 * 4.0, 20.0 + ((37 * 4 + 11 * number) % 200) as f64],
+                    streak: [0.0, 0.0],
+                    radius: 3.0,
+                    light: 190.0,
+                    shade: 60.0,
+                    to_light: [0.2, -1.0, -0.4],
+                });
+                detector
+                    .detect(&canvas.frame(number, 175.0, 1.5), &mut answers)
+                    .unwrap();
+            }
+            detector.flush(&mut answers);
+            answers.found
+        };
+        assert!(found(vec![]) > 150 && found(vec![region(0)]) > 150);
+        assert_eq!(found(vec![region(320)]), 0);
     }
 }

@@ -205,6 +205,8 @@ impl Detector {
                     "lag"
                 );
                 self.lag = self.next_lag;
+                // What was seen in front of bodies belongs to the other lag.
+                self.looked.restart_at(self.next_answer);
             }
         }
         // A longer lag may be asked for any time: what it looks back on is kept.
@@ -218,7 +220,7 @@ impl Detector {
             self.answer_next(true, answers);
         }
         self.history.restart();
-        self.looked.restart();
+        self.looked.restart_at(0);
         self.next_answer = 0;
         self.lag = self.next_lag;
     }

@@ -122,6 +122,11 @@ impl Shared {
         let by_middle = (1.0 + self.values[1] * middle).max(0.2);
         over.values[0] = self.values[0] / by_middle;
         over.values[1] = self.values[1] * stretch / by_middle;
+        // What is known of its size is known of the other stretch; a growth of zero says nothing.
+        let by_middle = (1.0 + self.prior[1] * middle).max(0.2);
+        over.prior[0] = self.prior[0] / by_middle;
+        over.prior[1] = self.prior[1] * stretch / by_middle;
+        over.weights[0] = self.weights[0] * by_middle * by_middle;
         for i in 0..DRIFTS {
             over.values[3 + DRIFTING + i] += middle * self.values[DRIFT + i];
             over.values[DRIFT + i] *= stretch;

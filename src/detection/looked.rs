@@ -63,9 +63,9 @@ impl Looked {
         Some((detection, spot))
     }
 
-    /// Starts a new window.
-    pub fn restart(&mut self) {
-        self.next = 0;
+    /// Forgets all, and begins at a frame.
+    pub fn restart_at(&mut self, next: usize) {
+        self.next = next;
         self.spots.clear();
         self.spare.extend(self.rests.drain(..).map(|(_, map)| map));
     }

@@ -164,6 +164,8 @@ impl FirstLook {
         self.detector.flush(&mut guided);
         let balls = self.tracker.finish();
         self.keep(balls);
+        // The stamps that follow may be of another clock.
+        self.foreseen = None;
     }
 
     fn keep(&mut self, balls: Vec<TrackedBall>) {

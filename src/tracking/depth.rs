@@ -11,6 +11,8 @@ const STEP: f64 = 1.4;
 const REFINEMENTS: usize = 4;
 /// Degree of the curve that chooses among them.
 const DEGREE: usize = 3;
+/// Samples that choose, evenly among all: hundreds of paths of a player end every second.
+const SAMPLES_MAX: usize = 32;
 /// A sample further than this from it, in σ, is no ball's.
 const SIGMAS_MAX: f64 = 5.0;
 
@@ -34,7 +36,12 @@ impl Depth {
             length: end - begin,
             ratio,
         };
-        let costed = |ratio| Some((with(ratio).cost(samples)?, ratio));
+        let some: Vec<Sample> = samples
+            .iter()
+            .step_by(samples.len().div_ceil(SAMPLES_MAX).max(1))
+            .copied()
+            .collect();
+        let costed = |ratio| Some((with(ratio).cost(&some)?, ratio));
         let nearest = |ratios: &mut dyn Iterator<Item = f64>| {
             let all = ratios.filter_map(costed);
             all.min_by(|a, b| a.0.total_cmp(&b.0))

@@ -371,8 +371,12 @@ impl Tracker {
         let now = self.history.back().map_or(f64::INFINITY, |newest| newest.t);
         // Another path is with the ball where this one, or the way found on from it, has come to.
         let is_seen = |ended: &[Point]| {
+            let with = |path: &[Point], last: &Point| {
+                let newest = path.iter().rev().take_while(|p| p.t >= last.t);
+                newest.last().is_some_and(|p| p.same(last))
+            };
             let last = ended.last().filter(|last| now - last.t <= gap);
-            last.is_some_and(|last| alive.iter().any(|h| h.points.iter().rev().any(|p| p.same(last))))
+            last.is_some_and(|last| alive.iter().any(|h| with(&h.points, last)))
         };
         let (held, free): (Vec<_>, Vec<_>) = std::mem::take(&mut self.pending)
             .into_iter()

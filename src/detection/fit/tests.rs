@@ -125,3 +125,19 @@ fn the_centre_has_no_bias_from_the_light() {
     }
     assert_eq!(cases, 6);
 }
+
+#[test]
+fn what_is_known_of_a_size_goes_on_with_the_ball() {
+    // 1/r is linear: r = 4 / (1 − τ/2) is 4 px in the middle and 4/0.875 a quarter of the way on.
+    let mut known = Shared::start(4.0, 0.1, true);
+    known.know_size(4.0, -0.5);
+    known.values[1] = -0.5;
+    let over = known.over(0.25, 1.0);
+    assert!((over.prior[0] - 4.0 / 0.875).abs() < 1e-9 && (over.prior[1] + 0.5 / 0.875).abs() < 1e-9);
+    assert_eq!((over.values[0], over.values[1]), (over.prior[0], over.prior[1]));
+    // One percent of it still.
+    assert!((over.weights[0].powf(-0.5) / over.prior[0] - KNOWN_SIGMA_SHARE).abs() < 1e-9);
+    let unknown = Shared::start(4.0, 0.1, true);
+    let over = unknown.over(0.25, 1.5);
+    assert_eq!((over.prior, over.weights), (unknown.prior, unknown.weights));
+}
