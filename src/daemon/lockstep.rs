@@ -39,6 +39,7 @@ struct Place {
 pub struct Seat<'a> {
     meeting: &'a Lockstep<'a>,
     index: usize,
+    camera: CameraId,
     timing: CameraTiming,
     config: TrackerConfig,
     at: i64,
@@ -75,6 +76,7 @@ impl<'a> Lockstep<'a> {
         Some(Seat {
             meeting: self,
             index,
+            camera: camera.clone(),
             timing: self.calibration.camera(camera)?.timing(),
             config: config.clone(),
             at: i64::MIN,
@@ -119,9 +121,11 @@ impl Seat<'_> {
         }
         self.at = next;
         let (open, off_light_px) = eye.open();
+        // A curve for every point: not while others wait for the lock.
+        let flights = flights_of(&open, off_light_px, (&self.camera, &self.config));
         let mut state = self.meeting.lock();
         if let Some(place) = state.places.get_mut(self.index) {
-            place.flights = flights_of(&open, off_light_px, (&place.camera, &self.config));
+            place.flights = flights;
             place.next = Some(next);
         }
         self.meeting.open_if_all_are_here(&mut state);
@@ -159,7 +163,7 @@ mod tests {
     use crate::eye::EyeConfig;
     use crate::flight::BALL_RADIUS_M;
     use crate::flight::sighting::CameraModel;
-    use crate::flight::synthetic::{Flown, camera, seeded, throw};
+    use crate::flight::synthetic::{Flown, calibrated, camera, seeded, throw};
     use crate::geometry::Pixel;
     use crate::scene::{CameraCalibration, FieldPreset, Frame, Motion, Site};
 
@@ -183,21 +187,12 @@ mod tests {
 
     fn calibration(cameras: &[CameraModel]) -> Calibration {
         let one = |c: &CameraModel| CameraCalibration {
-            id: c.id.clone(),
-            camera_from_world: c.pose,
-            capture_delay_s: c.timing.capture_delay_s,
             capture_delay_sigma_s: 2e-5,
-            clock_skew_ppm: 0.0,
-            skew_epoch_ns: 0,
-            network_clock: false,
-            readout_s: 0.0,
-            intrinsics: c.intrinsics,
             width_px: SIZE_PX.0,
             height_px: SIZE_PX.1,
             reprojection_rms_px: 0.1,
-            points: 500,
             noise_sigma_px: 0.1,
-            jitter_sigma_s: 0.0,
+            ..calibrated(c)
         };
         Calibration::without_covariance(cameras.iter().map(one).collect())
     }

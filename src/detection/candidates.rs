@@ -2,7 +2,7 @@
 
 use super::blobs::{Blob, Images};
 use super::centroid::{Moments, strongest_near, window_moments};
-use super::config::DetectorConfig;
+use super::config::{DetectorConfig, is_searched};
 use super::detector::ExpectedBall;
 use crate::geometry::Pixel;
 use crate::scene::{Detection, FrameStamp};
@@ -26,8 +26,7 @@ pub fn candidate(config: &DetectorConfig, stamp: FrameStamp, found: &Moments) ->
     let fits = (smallest * 0.4..=largest).contains(&found.radius_px) && streak <= 5.0 * largest;
     let (x, y) = (found.centre_px.x, found.centre_px.y);
     // A look at an expected place is not bound to the tiles that were scanned.
-    let wanted = config.regions.is_empty() || config.regions.iter().any(|region| region.contains(x, y));
-    if !fits || !wanted || config.masks.iter().any(|mask| mask.contains(x, y)) {
+    if !fits || !is_searched(&config.regions, &config.masks, (x, y)) {
         return None;
     }
     Some(Detection {

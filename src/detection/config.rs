@@ -37,6 +37,12 @@ pub struct DetectorConfig {
     pub masks: Vec<PixelRect>,
 }
 
+/// Whether a place is in one of the regions (none: the whole frame) and in no mask.
+pub fn is_searched(regions: &[PixelRect], masks: &[PixelRect], (x_px, y_px): (f64, f64)) -> bool {
+    let holds = |rect: &PixelRect| rect.contains(x_px, y_px);
+    (regions.is_empty() || regions.iter().any(holds)) && !masks.iter().any(holds)
+}
+
 impl Default for DetectorConfig {
     fn default() -> Self {
         Self {

@@ -175,19 +175,19 @@ fn changes_within<const REACH: usize>(
 }
 
 /// Asks for the memory that [`rows_in_front`] reads of a tile, but for the rows above and below, which are of other tiles as
-/// a rule; of one that stands `beside` the tile asked for before, only what that one has not.
+/// a rule; of one that is at `beside`, the place beside the tile asked for before, only what that one has not.
 #[inline(always)]
 pub fn fetch_tile(
     (current, one, other): (&[u8], &[u8], &[u8]),
     width_px: usize,
     (band, column): (usize, usize),
-    beside: bool,
+    beside: Option<(usize, usize)>,
 ) {
     let (top, left) = (band * TILE_HEIGHT_PX, column * TILE_WIDTH_PX);
     for y in (top..top + TILE_HEIGHT_PX).step_by(ROW_STEP) {
         for image in [current, one, other] {
             let row = y * width_px;
-            if !beside {
+            if beside != Some((band, column)) {
                 fetch_ahead(image, (row + left).saturating_sub(REACH_MAX_PX));
             }
             fetch_ahead(image, row + left + TILE_WIDTH_PX + REACH_MAX_PX - 1);

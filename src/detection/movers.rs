@@ -33,8 +33,7 @@ const TILES_AHEAD: usize = 16;
 /// Asks for the memory of tiles in their order; `last` is the place beside the last one asked for.
 fn fetch(near: &Images<'_>, tiles: impl Iterator<Item = (usize, usize)>, last: &mut Option<(usize, usize)>) {
     for (band, column) in tiles {
-        let beside = last.is_some_and(|place| place == (band, column));
-        fetch_tile(near.levels(), near.width_px, (band, column), beside);
+        fetch_tile(near.levels(), near.width_px, (band, column), *last);
         *last = Some((band, column + 1));
     }
 }

@@ -12,7 +12,7 @@
 
 use nalgebra::Matrix2;
 
-use super::config::DetectorConfig;
+use super::config::{DetectorConfig, is_searched};
 use super::detector::{Answers, DetectorCounters};
 use super::dispatch::Isa;
 use super::error::{DetectionError, check_size, wrong_size_of_raw};
@@ -171,9 +171,7 @@ impl PeakDetector {
     }
 
     fn is_searched(&self, x: usize, y: usize) -> bool {
-        let (x, y) = (x as f64, y as f64);
-        let wanted = self.regions.is_empty() || self.regions.iter().any(|region| region.contains(x, y));
-        wanted && !self.masks.iter().any(|mask| mask.contains(x, y))
+        is_searched(&self.regions, &self.masks, (x as f64, y as f64))
     }
 
     fn detection(&self, stamp: FrameStamp, peak: &Peak) -> Detection {

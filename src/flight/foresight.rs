@@ -79,32 +79,11 @@ fn position_covariance_m2(path: &Trajectory, flight: &SolvedFlight, t_s: f64) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::flight::sighting::CameraModel;
-    use crate::flight::synthetic::{Spoil, observe, seeded, three_cameras, throw};
+    use crate::flight::synthetic::{Spoil, calibrated, observe, seeded, three_cameras, throw};
     use crate::flight::{FlightOptions, flight_so_far};
     use crate::scene::{Calibration, Track};
 
     const RELEASE_NS: i64 = 1_000_000_000;
-
-    fn calibrated(c: &CameraModel) -> CameraCalibration {
-        CameraCalibration {
-            id: c.id.clone(),
-            camera_from_world: c.pose,
-            capture_delay_s: c.timing.capture_delay_s,
-            capture_delay_sigma_s: 0.0,
-            clock_skew_ppm: 0.0,
-            skew_epoch_ns: 0,
-            network_clock: false,
-            readout_s: 0.0,
-            intrinsics: c.intrinsics,
-            width_px: 2048,
-            height_px: 1024,
-            reprojection_rms_px: 0.4,
-            points: 500,
-            noise_sigma_px: 0.3,
-            jitter_sigma_s: 0.0,
-        }
-    }
 
     /// Two cameras have seen it for 120 ms: the third's places are as far off as their sigmas say.
     #[test]

@@ -39,11 +39,11 @@ pub use numbers::{
 };
 pub use outcome::{SolvedFlight, TrackFit};
 pub use outlook::{OutlookError, flight_so_far, outlook_of};
-pub use physics::{Aerodynamics, Physics};
+pub use physics::{Aerodynamics, BALL_RADIUS_M, Physics};
 pub use pitch::{PitchOptions, flight_samples, is_far_off, pitch_from_flight};
 pub use residuals::{PointResidual, residuals};
 pub use solve::{FlightOptions, solve_flight};
 pub use start::linear_start;
 pub use together::may_be_one_pitch;
 pub use trajectory::{FlightPrior, Trajectory};
-pub use zone::{BALL_RADIUS_M, HALF_PLATE_M, StrikeZone};
+pub use zone::{HALF_PLATE_M, StrikeZone};

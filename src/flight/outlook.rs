@@ -119,30 +119,12 @@ fn plausible(solved: &SolvedFlight, plate_x_m: f64, plate_z_m: f64) -> Result<()
 mod tests {
     use super::*;
     use crate::flight::sighting::CameraModel;
-    use crate::flight::synthetic::{Spoil, observe, seeded, three_cameras, throw};
-    use crate::scene::CameraCalibration;
+    use crate::flight::synthetic::{Spoil, calibrated, observe, seeded, three_cameras, throw};
 
     const RELEASE_NS: i64 = 1_000_000_000;
 
     fn calibration(cameras: &[CameraModel]) -> Calibration {
-        let one = |c: &CameraModel| CameraCalibration {
-            id: c.id.clone(),
-            camera_from_world: c.pose,
-            capture_delay_s: c.timing.capture_delay_s,
-            capture_delay_sigma_s: 0.0,
-            clock_skew_ppm: 0.0,
-            skew_epoch_ns: 0,
-            network_clock: false,
-            readout_s: 0.0,
-            intrinsics: c.intrinsics,
-            width_px: 2048,
-            height_px: 1024,
-            reprojection_rms_px: 0.4,
-            points: 500,
-            noise_sigma_px: 0.3,
-            jitter_sigma_s: 0.0,
-        };
-        Calibration::without_covariance(cameras.iter().map(one).collect())
+        Calibration::without_covariance(cameras.iter().map(calibrated).collect())
     }
 
     /// Points until `before_s` before the plate: the outlook's miss at the plate over its sigma, and in metres.

@@ -9,7 +9,7 @@ use rand_pcg::Pcg64;
 use super::physics::{BALL_RADIUS_M, Physics};
 use super::sighting::{CameraModel, CameraNoise};
 use crate::geometry::{Intrinsics, Pixel, Pose};
-use crate::scene::{CameraId, Track, TrackPoint};
+use crate::scene::{CameraCalibration, CameraId, Track, TrackPoint};
 use crate::time::{CameraTiming, StampedMidpoint};
 
 /// A pitch as thrown: state at release, spin vector (rad/s), Cd, and a lateral wobble (m/s², Hz, phase).
@@ -176,6 +176,27 @@ pub(crate) struct Spoil {
     pub(crate) outliers: f64,
     pub(crate) misses: f64,
     pub(crate) jitter_s: f64,
+}
+
+/// A camera as a calibration without an error knows it.
+pub(crate) fn calibrated(c: &CameraModel) -> CameraCalibration {
+    CameraCalibration {
+        id: c.id.clone(),
+        camera_from_world: c.pose,
+        capture_delay_s: c.timing.capture_delay_s,
+        capture_delay_sigma_s: 0.0,
+        clock_skew_ppm: 0.0,
+        skew_epoch_ns: 0,
+        network_clock: false,
+        readout_s: 0.0,
+        intrinsics: c.intrinsics,
+        width_px: 2048,
+        height_px: 1024,
+        reprojection_rms_px: 0.4,
+        points: 500,
+        noise_sigma_px: 0.3,
+        jitter_sigma_s: 0.0,
+    }
 }
 
 /// The track (number 1) of a flight in a camera at 175 fps; release at true time `release_ns`.

@@ -2,8 +2,8 @@
 
 use nalgebra::Matrix2;
 
-/// Radius of the ball, metres (domain §1).
-pub const BALL_RADIUS_M: f64 = 0.036888;
+use super::physics::BALL_RADIUS_M;
+
 /// Half the plate's width, metres (8.5 in).
 pub const HALF_PLATE_M: f64 = 0.2159;
 
