@@ -7,27 +7,26 @@ use clap::Args;
 
 use super::detecting::DetectingArgs;
 use crate::daemon::outfit::eye_of;
-use crate::evaluation::{DetectionScore, read_centres, score_tracks, truth_of};
-use crate::eye::CameraEye;
-use crate::recording::read_track_folder;
+use crate::daemon::watch::TimedEye;
+use crate::evaluation::{DetectionScore, Pictures, read_centres, score_tracks, truth_of};
+use crate::export::results;
+use crate::recording::{SessionReader, read_track_folder};
 use crate::scene::{CameraId, Frame, Track};
 use crate::simulation::{self, CameraRenderer, Scenario, simulate_tracks};
 
 const AFTER_HELP: &str = "\
 Examples:
   pitchd evaluate detection /tmp/hard/result /tmp/hard/truth
+  pitchd evaluate detection result truth --session sessions/monday --pictures /tmp/misses
   pitchd evaluate detection --scenario config/scenario/hard.toml --pictures /tmp/misses
   pitchd evaluate detection --scenario config/scenario/hard.toml --detector kim2019
   pitchd evaluate detection --scenario config/scenario/idle.toml --out /tmp/idle
 
 RESULT is an output folder of `replay` (its tracks/ are scored) or a folder of track files; TRUTH holds \
-truth.json and <camera>.csv. With --scenario the frames are rendered, searched and scored in one go, \
+truth.json and <camera>.csv. Latency is told of results of `replay` and with --scenario. \
+--pictures cuts out of the frames of --session or of the scenario (PNG, four times as large; marks on the edges point \
+to the place). With --scenario the frames are rendered, searched and scored in one go, \
 and --out keeps what `solve` and `evaluate pitches` need: rig.toml, tracks/, truth/.";
-
-/// Side of a picture of a miss, pixels.
-const PICTURE_SIDE_PX: i64 = 96;
-/// Most pictures of one camera.
-const PICTURES_MAX: usize = 60;
 
 /// Arguments of `pitchd evaluate detection`.
 #[derive(Debug, Args)]
@@ -48,8 +47,11 @@ pub struct EvaluateDetectionArgs {
     /// Another seed than the scenario's.
     #[arg(long, requires = "scenario")]
     pub seed: Option<u64>,
-    /// Cut every miss and every false track out of the frames into this folder (PGM).
-    #[arg(long, requires = "scenario", value_name = "DIR")]
+    /// The session whose frames were searched, for --pictures.
+    #[arg(long, value_name = "DIR", requires = "pictures", conflicts_with = "scenario")]
+    pub session: Option<PathBuf>,
+    /// Cut every miss and every false track out of the frames into this folder.
+    #[arg(long, value_name = "DIR")]
     pub pictures: Option<PathBuf>,
     /// Write rig.toml, tracks/ and truth/ into this folder.
     #[arg(long, requires = "scenario", value_name = "DIR")]
@@ -68,6 +70,11 @@ pub struct EvaluateDetectionArgs {
 pub fn run(args: &EvaluateDetectionArgs) -> anyhow::Result<()> {
     let scores = match (&args.scenario, &args.result, &args.truth) {
         (Some(scenario), _, _) => of_scenario(args, scenario)?,
+        (None, Some(_), _) if args.pictures.is_some() && args.session.is_none() => {
+            anyhow::bail!(
+                "--pictures: of which frames? --session SESSION says, the recording that RESULT is of"
+            )
+        }
         (None, Some(_), _) if args.detecting.detector.is_some() => {
             anyhow::bail!("--detector: RESULT has been searched already; with --scenario frames are")
         }
@@ -110,18 +117,49 @@ fn of_files(
     let text = std::fs::read(&path).with_context(|| path.display().to_string())?;
     let file: TruthFile = serde_json::from_slice(&text).with_context(|| path.display().to_string())?;
     let pitches = file.pitches.len() as u32;
-    file.cameras
-        .iter()
-        .filter(|camera| wanted(args, &camera.id))
-        .map(|camera| {
-            Ok(score_tracks(
-                &camera.id,
-                &tracks,
-                &read_centres(truth, &camera.id)?,
-                pitches,
-            ))
-        })
-        .collect()
+    let session = args.session.as_deref().map(SessionReader::open).transpose()?;
+    let searches = results::read_search(result)?;
+    let mut scores = Vec::new();
+    for camera in file.cameras.iter().filter(|camera| wanted(args, &camera.id)) {
+        let mut score = score_tracks(&camera.id, &tracks, &read_centres(truth, &camera.id)?, pitches);
+        score.search = searches.iter().find(|s| s.camera == camera.id).cloned();
+        if let (Some(folder), Some(session)) = (&args.pictures, &session) {
+            let recorded = session
+                .frames(&camera.id)
+                .with_context(|| format!("{}: no camera `{}`", session.folder().display(), camera.id))?;
+            cut_pictures(folder, &score, &tracks, recorded.map(|recorded| recorded.frame))?;
+        }
+        scores.push(score);
+    }
+    Ok(scores)
+}
+
+/// Cuts what was missed and what is false out of the frames of one camera.
+fn cut_pictures(
+    folder: &Path,
+    score: &DetectionScore,
+    tracks: &[Track],
+    frames: impl Iterator<Item = Frame>,
+) -> anyhow::Result<()> {
+    let mut pictures = Pictures::of(score, tracks);
+    let folder = folder.join(score.camera.as_str());
+    for frame in frames {
+        if pictures.missing() == 0 {
+            break;
+        }
+        pictures.cut(&frame, &folder)?;
+    }
+    if pictures.missing() > 0 {
+        tell_line!(
+            "pitchd: warning: camera {}: the frames of {} pictures are not there",
+            score.camera,
+            pictures.missing()
+        );
+    }
+    if pictures.written > 0 {
+        tell_line!("{}: {} pictures", folder.display(), pictures.written);
+    }
+    Ok(())
 }
 
 fn of_scenario(args: &EvaluateDetectionArgs, path: &Path) -> anyhow::Result<Vec<DetectionScore>> {
@@ -146,17 +184,16 @@ fn of_scenario(args: &EvaluateDetectionArgs, path: &Path) -> anyhow::Result<Vec<
             truth_of(centres)
         });
         let config = args.detecting.of(eye_of(&simulated.rig, &camera.id, None));
-        let mut eye = CameraEye::new(camera.id.clone(), config, camera.width_px, camera.height_px);
+        let mut eye = TimedEye::new(camera.id.clone(), config, (camera.width_px, camera.height_px));
         for frame in renderer.frames() {
             eye.push(&frame)?;
         }
-        eye.finish();
-        let tracks = eye.drain_pitches();
-        tracing::info!(camera = %camera.id, counters = ?eye.counters(), "searched");
-        let score = score_tracks(&camera.id, &tracks, &balls.unwrap_or_default(), pitches);
+        let (tracks, search) = eye.finish();
+        let mut score = score_tracks(&camera.id, &tracks, &balls.unwrap_or_default(), pitches);
+        score.search = Some(search);
         if let Some(folder) = &args.pictures {
             let frames = CameraRenderer::new(&scenario, index)?.frames();
-            cut_pictures(&folder.join(camera.id.as_str()), &score, &tracks, frames)?;
+            cut_pictures(folder, &score, &tracks, frames)?;
         }
         scores.push(score);
         all_tracks.extend(tracks);
@@ -167,72 +204,4 @@ fn of_scenario(args: &EvaluateDetectionArgs, path: &Path) -> anyhow::Result<Vec<
         simulation::write_truth(folder, &simulated.truth)?;
     }
     Ok(scores)
-}
-
-/// Writes a picture of every miss and of a point of every false track.
-fn cut_pictures(
-    folder: &Path,
-    score: &DetectionScore,
-    tracks: &[Track],
-    frames: impl Iterator<Item = Frame>,
-) -> anyhow::Result<()> {
-    let mut wanted: Vec<(u64, f64, f64, String)> = score
-        .missed
-        .iter()
-        .map(|b| {
-            (
-                b.frame,
-                b.x_px,
-                b.y_px,
-                format!("miss-pitch{}-frame{}", b.pitch, b.frame),
-            )
-        })
-        .collect();
-    for track in tracks
-        .iter()
-        .filter(|t| score.false_track_numbers.contains(&t.track))
-    {
-        if let Some(p) = track.points.get(track.points.len() / 2) {
-            wanted.push((
-                p.frame,
-                p.pixel.x,
-                p.pixel.y,
-                format!("false-track{}-frame{}", track.track, p.frame),
-            ));
-        }
-    }
-    wanted.truncate(PICTURES_MAX);
-    if wanted.is_empty() {
-        return Ok(());
-    }
-    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-    for frame in frames {
-        for (_, x, y, name) in wanted.iter().filter(|w| w.0 == frame.stamp.frame) {
-            let path = folder.join(format!("{name}.pgm"));
-            std::fs::write(&path, cut(&frame, *x, *y)).with_context(|| path.display().to_string())?;
-        }
-    }
-    Ok(())
-}
-
-/// A square around a point as PGM.
-fn cut(frame: &Frame, x_px: f64, y_px: f64) -> Vec<u8> {
-    let mut out = format!("P5\n{PICTURE_SIDE_PX} {PICTURE_SIDE_PX}\n255\n").into_bytes();
-    let (left, top) = (
-        x_px as i64 - PICTURE_SIDE_PX / 2,
-        y_px as i64 - PICTURE_SIDE_PX / 2,
-    );
-    for y in top..top + PICTURE_SIDE_PX {
-        for x in left..left + PICTURE_SIDE_PX {
-            let inside =
-                (0..i64::from(frame.width_px)).contains(&x) && (0..i64::from(frame.height_px)).contains(&y);
-            let index = (y * i64::from(frame.width_px) + x) as usize;
-            out.push(if inside {
-                frame.bytes().get(index).copied().unwrap_or(0)
-            } else {
-                0
-            });
-        }
-    }
-    out
 }

@@ -13,6 +13,7 @@ use crate::capture::{FrameSource, RecordingSource};
 use crate::config::{load_rig, parse_rig};
 use crate::daemon::outfit::eye_of;
 use crate::daemon::watch::{Pace, Watched, watch_all};
+use crate::export::results;
 use crate::recording::SessionReader;
 use crate::scene::{CameraId, Rig, Track};
 
@@ -78,6 +79,8 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     let watched = watch_all(sources, &eye, pace, sky, &|| progress.inc(1));
     progress.finish_and_clear();
 
+    let searches: Vec<_> = watched.iter().filter_map(|w| w.search.clone()).collect();
+    results::write_search(&args.solving.out, &searches)?;
     let mut warnings: Vec<String> = watched.iter().flat_map(|w| w.reasons.iter().cloned()).collect();
     let damage = session.damage();
     warnings.extend(damage.iter().map(ToString::to_string));
@@ -149,7 +152,12 @@ fn sources(session: &SessionReader, rig: &Rig) -> anyhow::Result<Vec<Box<dyn Fra
 fn facts(session: &Path, watched: &[Watched]) -> Vec<(String, String)> {
     let mut facts = vec![("session".to_owned(), session.display().to_string())];
     for w in watched {
-        let told = format!("{} frames, {} tracks of pitches", w.frames, w.tracks.len());
+        let search = w.search.as_ref().map_or(String::new(), |s| format!("; {s}"));
+        let told = format!(
+            "{} frames, {} tracks of pitches{search}",
+            w.frames,
+            w.tracks.len()
+        );
         facts.push((format!("camera {}", w.camera), told));
     }
     facts

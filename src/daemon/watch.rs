@@ -5,12 +5,13 @@
 
 use std::time::{Duration, Instant};
 
+use super::histogram::Histogram;
 use super::lockstep::{Lockstep, Seat};
 use crate::capture::{FrameGeometry, FrameSource};
-use crate::detection::DetectorCounters;
+use crate::detection::DetectionError;
 use crate::eye::{CameraEye, EyeConfig};
-use crate::scene::{Calibration, CameraId, Frame, Rig, Track, WorldFrame};
-use crate::tracking::TrackerCounters;
+use crate::scene::{Calibration, CameraId, Frame, FrameSearch, Rig, Track, WorldFrame};
+use crate::time::{HostClock, SystemClock};
 
 /// How fast a recording is played.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -34,10 +35,66 @@ pub struct Watched {
     pub reasons: Vec<String>,
     /// Pitched balls.
     pub tracks: Vec<Track>,
-    /// What the detector saw and left out.
-    pub detector: DetectorCounters,
-    /// What the tracker saw and left out.
-    pub tracker: TrackerCounters,
+    /// What the search cost and left out; `None` where it ended early.
+    pub search: Option<FrameSearch>,
+}
+
+/// A camera's eye that is timed.
+pub struct TimedEye {
+    camera: CameraId,
+    rate_hz: f64,
+    eye: CameraEye,
+    times: Histogram,
+}
+
+impl TimedEye {
+    /// An eye for frames of this size.
+    pub fn new(camera: CameraId, config: EyeConfig, (width_px, height_px): (u32, u32)) -> Self {
+        Self {
+            rate_hz: config.tracker.frame_rate_hz,
+            eye: CameraEye::new(camera.clone(), config, width_px, height_px),
+            camera,
+            times: Histogram::default(),
+        }
+    }
+
+    /// Takes the next frame of the camera.
+    ///
+    /// # Errors
+    /// A frame of another size.
+    pub fn push(&mut self, frame: &Frame) -> Result<(), DetectionError> {
+        let begun = SystemClock.monotonic().nanos();
+        let result = self.eye.push(frame);
+        self.times.add_since_ns(begun);
+        result
+    }
+
+    /// Ends the recording: its pitches in time order, numbered, and what the search cost.
+    pub fn finish(mut self) -> (Vec<Track>, FrameSearch) {
+        self.eye.finish();
+        let mut tracks = self.eye.drain_pitches();
+        tracks.sort_by_key(Track::span);
+        for (number, track) in tracks.iter_mut().enumerate() {
+            track.track = number as u32;
+        }
+        let (detector, tracker) = self.eye.counters();
+        tracing::info!(camera = %self.camera, ?detector, ?tracker, "searched");
+        let answered = detector.frames.saturating_sub(detector.unanswered).max(1);
+        let waited_frames = detector.waited as f64 / answered as f64;
+        let search_ms = |share| 1e3 * self.times.quantile_s(share).unwrap_or(0.0);
+        let search = FrameSearch {
+            camera: self.camera,
+            frames: detector.frames,
+            waited_frames,
+            waited_ms: 1e3 * waited_frames / self.rate_hz.max(1e-3),
+            search_ms_p50: search_ms(0.5),
+            search_ms_p99: search_ms(0.99),
+            global_changes: detector.global_changes,
+            candidates_dropped: detector.candidates_dropped,
+            overflows: detector.overflows,
+        };
+        (tracks, search)
+    }
 }
 
 /// Reasons kept per camera; the rest is counted.
@@ -92,8 +149,7 @@ fn lost(camera: CameraId, reason: String) -> Watched {
         unusable: 0,
         reasons,
         tracks: Vec::new(),
-        detector: DetectorCounters::default(),
-        tracker: TrackerCounters::default(),
+        search: None,
     }
 }
 
@@ -105,7 +161,7 @@ fn watch(
 ) -> Watched {
     let FrameGeometry { width_px, height_px } = source.geometry();
     let camera = source.camera().clone();
-    let mut eye = CameraEye::new(camera.clone(), config, width_px, height_px);
+    let mut eye = TimedEye::new(camera.clone(), config, (width_px, height_px));
     let mut watched = lost(camera.clone(), String::new());
     watched.reasons.clear();
     let mut clock = Paced::new(pace);
@@ -126,7 +182,7 @@ fn watch(
         };
         clock.wait_for(&frame);
         if let Some(seat) = &mut seat {
-            seat.before(frame.stamp.stamped, &mut eye);
+            seat.before(frame.stamp.stamped, &mut eye.eye);
         }
         match eye.push(&frame) {
             Ok(()) => watched.frames += 1,
@@ -134,14 +190,9 @@ fn watch(
         }
     }
     drop(seat);
-    eye.finish();
-    watched.tracks.extend(eye.drain_pitches());
-    // Numbers within a camera are those of its pitches, in time order.
-    watched.tracks.sort_by_key(|t| t.span());
-    for (number, track) in watched.tracks.iter_mut().enumerate() {
-        track.track = number as u32;
-    }
-    (watched.detector, watched.tracker) = eye.counters();
+    let (tracks, search) = eye.finish();
+    watched.tracks = tracks;
+    watched.search = Some(search);
     watched
 }
 

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::Vector2;
 use serde::{Deserialize, Serialize};
 
-use crate::scene::{CameraId, Track};
+use crate::scene::{CameraId, FrameSearch, Track};
 use crate::simulation::CameraCentres;
 
 /// A point further from the true centre than this is not that ball, pixels.
@@ -82,6 +82,8 @@ pub struct DetectionScore {
     pub worst_px: f64,
     /// Mean squared error over its covariance (1: honest), where points have one.
     pub normalised_square: f64,
+    /// What the search cost, how late it answered and what it left out, where that is known.
+    pub search: Option<FrameSearch>,
     /// Visible balls that are in no track.
     #[serde(skip)]
     pub missed: Vec<BallTruth>,
@@ -204,6 +206,7 @@ pub fn score_tracks(
         rms_px: [(tally.squares.x / n).sqrt(), (tally.squares.y / n).sqrt()],
         worst_px: tally.worst_px,
         normalised_square: tally.normalised / f64::max(tally.normalised_count, 1.0),
+        search: None,
         missed,
         false_track_numbers: tally.false_tracks,
     }
@@ -268,7 +271,11 @@ impl fmt::Display for DetectionScore {
             self.rms_px[1],
             self.worst_px,
             self.normalised_square
-        )
+        )?;
+        match &self.search {
+            Some(search) => writeln!(f, "  latency: {search}"),
+            None => writeln!(f, "  latency: not told beside these tracks (replay writes it)"),
+        }
     }
 }
 

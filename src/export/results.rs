@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::recording::{ViewerInput, write_track_folder, write_viewer_file};
-use crate::scene::{Calibration, Pitch, Track};
+use crate::scene::{Calibration, FrameSearch, Pitch, Track};
 
 use super::error::ExportError;
 use super::report::{self, FreeReportInput, ReportInput, TrajectoryRow};
@@ -77,6 +77,41 @@ pub fn write_trajectory(folder: &Path, rows: &[TrajectoryRow]) -> Result<PathBuf
     let path = folder.join("trajectory.csv");
     replace(&path, &trajectory_csv(rows))?;
     Ok(path)
+}
+
+const SEARCH_FILE: &str = "detection.json";
+
+/// Writes `detection.json`: what searching each camera's frames cost, how late it answered and what it left out.
+///
+/// # Errors
+/// [`ExportError::Write`] with the path.
+pub fn write_search(folder: &Path, cameras: &[FrameSearch]) -> Result<(), ExportError> {
+    std::fs::create_dir_all(folder).map_err(ExportError::writing(folder))?;
+    let path = folder.join(SEARCH_FILE);
+    let text = serde_json::to_string_pretty(cameras).map_err(|error| ExportError::Line {
+        path: path.clone(),
+        line: 1,
+        reason: error.to_string(),
+    })?;
+    replace(&path, &text)
+}
+
+/// Reads the `detection.json` of a results folder; empty where there is none.
+///
+/// # Errors
+/// [`ExportError`] with file and line.
+pub fn read_search(folder: &Path) -> Result<Vec<FrameSearch>, ExportError> {
+    let path = folder.join(SEARCH_FILE);
+    let text = match std::fs::read_to_string(&path) {
+        Ok(text) => text,
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(error) => return Err(ExportError::reading(&path)(error)),
+    };
+    serde_json::from_str(&text).map_err(|error| ExportError::Line {
+        path,
+        line: error.line(),
+        reason: format!("no account of a search: {}", without_place(&error)),
+    })
 }
 
 /// One row a frame of the reference camera: nanoseconds and metres to the micrometre.

@@ -48,6 +48,7 @@ pub use damage::{Damage, LostFrames};
 pub use error::RecordingError;
 pub use frame_info::{FrameFlags, RecordedFrame};
 pub use layout::PixelEncoding;
+pub use payload::encode_png;
 pub use reader::{CameraFrames, CameraRecording, Holes, SessionReader, Verified};
 pub use repair::{Repaired, repair_session};
 pub use track_files::{TrackFileError, append_track, read_track_file, read_track_folder, write_track_folder};

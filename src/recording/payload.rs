@@ -74,7 +74,11 @@ pub fn encode_image(
     }
 }
 
-fn encode_png(frame: &Frame) -> Result<Vec<u8>, png::EncodingError> {
+/// A frame as PNG.
+///
+/// # Errors
+/// A frame without pixels, or of fewer than its size says.
+pub fn encode_png(frame: &Frame) -> Result<Vec<u8>, png::EncodingError> {
     let mut out = Vec::with_capacity(frame.bytes().len() / 2 + 1024);
     let mut encoder = png::Encoder::new(&mut out, frame.width_px, frame.height_px);
     encoder.set_color(png::ColorType::Grayscale);

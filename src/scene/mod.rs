@@ -14,6 +14,7 @@ mod frame;
 mod pitch;
 mod pixel_format;
 mod rig;
+mod search;
 mod track;
 
 pub use calibration::{
@@ -31,4 +32,5 @@ pub use rig::{
     CameraSetup, DistanceMeasurement, Landmark, LandmarkPosition, Motion, PixelRect, Rig, RollingShutter,
     Site,
 };
+pub use search::FrameSearch;
 pub use track::{Track, TrackPoint};
