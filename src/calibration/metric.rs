@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Point3, Rotation3, SMatrix, SVector, Vector3};
 
 use crate::geometry::{Pose, rotation_from_vector};
+use crate::scene::{BALL_MASS_KG, BALL_RADIUS_M};
 
 /// Middle of a path: velocity and acceleration in units of the reconstruction.
 #[derive(Debug, Clone, Copy)]
@@ -29,8 +30,8 @@ pub(crate) struct Upgrade {
 
 /// Middle of the prior for a pitch's drag coefficient (domain §2), and half the ball's area over its mass.
 const DRAG_COEFFICIENT: f64 = 0.35;
-/// πr²/2m, m²/kg, of a ball of 0.036888 m and 0.14529 kg.
-const HALF_AREA_OVER_MASS: f64 = std::f64::consts::PI * 0.036_888 * 0.036_888 / (2.0 * 0.145_29);
+/// πr²/2m, m²/kg.
+const HALF_AREA_OVER_MASS: f64 = std::f64::consts::PI * BALL_RADIUS_M * BALL_RADIUS_M / (2.0 * BALL_MASS_KG);
 /// Speed of a pitch in the middle of its flight, m/s, and its spread in the logarithm.
 const SPEED_MPS: f64 = 37.0;
 const SPEED_SIGMA: f64 = 0.15;

@@ -79,14 +79,14 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     let watched = watch_all(sources, &eye, pace, sky, &|| progress.inc(1));
     progress.finish_and_clear();
 
-    let searches: Vec<_> = watched.iter().filter_map(|w| w.search.clone()).collect();
-    results::write_search(&args.solving.out, &searches)?;
     let mut warnings: Vec<String> = watched.iter().flat_map(|w| w.reasons.iter().cloned()).collect();
     let damage = session.damage();
     warnings.extend(damage.iter().map(ToString::to_string));
     let lost = session.losses().iter();
     warnings.extend(lost.map(|loss| format!("lost in an earlier repair: {loss}")));
     let tracks: Vec<Track> = watched.iter().flat_map(|w| w.tracks.iter().cloned()).collect();
+    let searches: Vec<_> = watched.iter().filter_map(|w| w.search.clone()).collect();
+    results::write_search(&args.solving.out, &searches, &tracks)?;
     let title = if rig.site.name.is_empty() {
         args.session.display().to_string()
     } else {

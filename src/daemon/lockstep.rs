@@ -161,11 +161,10 @@ mod tests {
     use super::*;
     use crate::detection::painter::{Ball, Canvas};
     use crate::eye::EyeConfig;
-    use crate::flight::BALL_RADIUS_M;
     use crate::flight::sighting::CameraModel;
     use crate::flight::synthetic::{Flown, calibrated, camera, seeded, throw};
     use crate::geometry::Pixel;
-    use crate::scene::{CameraCalibration, FieldPreset, Frame, Motion, Site};
+    use crate::scene::{BALL_RADIUS_M, CameraCalibration, FieldPreset, Frame, Motion, Site};
 
     const SIZE_PX: (u32, u32) = (1024, 256);
     const FIRST_STAMP_NS: i64 = 1_000_000_000;

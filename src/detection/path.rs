@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::fit::FittedCentre;
-use crate::scene::Track;
+use crate::scene::{BALL_RADIUS_M, Track, TrackPoint};
 use crate::time::StampedMidpoint;
 
 /// Fitted centres used, the nearest in time.
@@ -14,6 +14,8 @@ const NEIGHBOURS_MIN: usize = 5;
 const LEVELS: usize = 5;
 /// Neighbours further than this from the path are left out, worst first.
 const STRAY_PX: f64 = 0.6;
+/// What a parabola does not know, 1σ: the force on a knuckleball, 10 m/s², changes within a twentieth of a second.
+const JERK_SIGMA_MPS3: f64 = 200.0;
 /// How far a sure centre is from its path, 1σ: next to players backgrounds are unsure.
 const PATH_SIGMA_PX: f64 = 0.06;
 
@@ -30,6 +32,13 @@ pub struct Place {
     pub sigma_px: f64,
     /// How far off the centre is for a path whose acceleration changes by 1 px/s³, s³: a parabola leaves that out.
     pub bend_s3: f64,
+}
+
+impl Place {
+    /// 1σ of what the parabola leaves out for a ball of this radius, pixels.
+    pub fn bend_sigma_px(&self, radius_px: f64) -> f64 {
+        JERK_SIGMA_MPS3 * radius_px / BALL_RADIUS_M * self.bend_s3
+    }
 }
 
 /// The place of point `index` on a parabola through the fitted centres nearest to it in time, without its own.
@@ -61,6 +70,16 @@ impl Near {
             weight: 1.0 / (0.5 * centre.covariance_px2.trace() + PATH_SIGMA_PX.powi(2)),
             level: centre.level,
         }
+    }
+
+    /// A point that is a fitted centre.
+    pub fn of_point(epoch_ns: i64, point: &TrackPoint) -> Option<Self> {
+        Some(Self {
+            t_s: point.stamped.seconds_since(epoch_ns),
+            centre_px: point.pixel.vector(),
+            weight: 1.0 / (0.5 * point.covariance_px2?.trace() + PATH_SIGMA_PX.powi(2)),
+            level: 0.0,
+        })
     }
 }
 
@@ -140,7 +159,7 @@ fn powers(u: f64) -> Vector3<f64> {
 mod tests {
     use super::*;
     use crate::geometry::Pixel;
-    use crate::scene::{CameraId, TrackPoint};
+    use crate::scene::CameraId;
     use crate::time::StampedMidpoint;
 
     #[test]

@@ -32,7 +32,7 @@ const STREAK_SCALE_SIGMA: f64 = 0.03;
 /// The first look sees the lit part: the ball is larger by about this.
 const RADIUS_OVER_FIRST_LOOK: f64 = 1.3;
 /// What is left of light and blur in a centre, the same way for a whole track, pixels.
-const SYSTEMATIC_PX: f64 = 0.03;
+const SYSTEMATIC_PX: f64 = 0.015;
 /// Where no centre was found, one is taken that is no further than this from the path of its neighbours.
 const OFF_PATH_PX: f64 = 0.8;
 /// ... and one that is nearer, in a picture no more unlike the ball than this, is right.

@@ -16,9 +16,6 @@ const CHI2_MAX: f64 = 25.0;
 /// What is added to a track is no further from where the path leads than so many σ of both, and so many pixels more.
 const SIGMAS_MAX: f64 = 3.0;
 const BEYOND_PX: f64 = 0.1;
-/// ... and by what a parabola does not know, 1σ: the force on a knuckleball, 10 m/s², changes within a twentieth of a second.
-const JERK_SIGMA_MPS3: f64 = 200.0;
-const BALL_RADIUS_M: f64 = 0.0369;
 /// ... but no further than so many radii.
 const OFF_RADII_MAX: f64 = 0.75;
 /// ... and the picture is no more unlike the ball than this.
@@ -138,7 +135,7 @@ impl FittedBall {
         let found = self.seek(&patch, &start, &place)?;
         let variance = 0.5 * whole_covariance(&found).trace();
         let off_px = (found.centre_px - place.centre_px).norm();
-        let bend_sigma_px = JERK_SIGMA_MPS3 * start.radius_px / BALL_RADIUS_M * place.bend_s3;
+        let bend_sigma_px = place.bend_sigma_px(start.radius_px);
         let sigma_px = (variance + place.sigma_px.powi(2) + bend_sigma_px.powi(2)).sqrt();
         let allowed_px = (SIGMAS_MAX * sigma_px + BEYOND_PX).min(OFF_RADII_MAX * start.radius_px);
         let ratio = found.level.max(place.level) / found.level.min(place.level).max(1e-9);

@@ -81,11 +81,12 @@ pub fn write_trajectory(folder: &Path, rows: &[TrajectoryRow]) -> Result<PathBuf
 
 const SEARCH_FILE: &str = "detection.json";
 
-/// Writes `detection.json`: what searching each camera's frames cost, how late it answered and what it left out.
+/// Writes what the frames gave, whatever becomes of it: `tracks/<camera>.csv`, and `detection.json` with what searching
+/// each camera's frames cost, how late it answered and what it left out.
 ///
 /// # Errors
 /// [`ExportError::Write`] with the path.
-pub fn write_search(folder: &Path, cameras: &[FrameSearch]) -> Result<(), ExportError> {
+pub fn write_search(folder: &Path, cameras: &[FrameSearch], tracks: &[Track]) -> Result<(), ExportError> {
     std::fs::create_dir_all(folder).map_err(ExportError::writing(folder))?;
     let path = folder.join(SEARCH_FILE);
     let text = serde_json::to_string_pretty(cameras).map_err(|error| ExportError::Line {
@@ -93,7 +94,8 @@ pub fn write_search(folder: &Path, cameras: &[FrameSearch]) -> Result<(), Export
         line: 1,
         reason: error.to_string(),
     })?;
-    replace(&path, &text)
+    replace(&path, &text)?;
+    write_tracks(folder, tracks)
 }
 
 /// Reads the `detection.json` of a results folder; empty where there is none.

@@ -6,7 +6,7 @@ use nalgebra::Vector2;
 
 use super::EyeConfig;
 use super::first_look::{BallStep, EndedBall, FlyingBall};
-use crate::detection::{CutOuts, KnownSize, Refined, Refinement, Refiner};
+use crate::detection::{CutOuts, KnownSize, Refined, Refinement, Refiner, doubt};
 use crate::scene::Track;
 use crate::tracking::{TrackKind, TrackShape, TrackedBall, TrackerConfig, polish, vote};
 
@@ -201,7 +201,11 @@ impl SecondLook {
             .into_iter()
             .zip(fresh_votes)
             .filter(|(_, pitch)| *pitch)
-            .map(|(ball, _)| ball.track)
+            .map(|(mut ball, _)| {
+                let doubted = doubt(&mut ball.track, ball.shape.radius_px);
+                tracing::debug!(camera = %ball.track.camera, track = ball.track.track, doubted, "pitch");
+                ball.track
+            })
             .collect()
     }
 }

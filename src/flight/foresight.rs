@@ -2,9 +2,9 @@
 
 use nalgebra::{Matrix2, Matrix2x3, Matrix3};
 
-use super::physics::BALL_RADIUS_M;
 use super::trajectory::TERMS;
 use super::{SolvedFlight, Trajectory};
+use crate::scene::BALL_RADIUS_M;
 use crate::scene::{CameraCalibration, ForeseenPath, ForeseenPlace};
 use crate::time::TrueMidpoint;
 

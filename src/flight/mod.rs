@@ -39,7 +39,7 @@ pub use numbers::{
 };
 pub use outcome::{SolvedFlight, TrackFit};
 pub use outlook::{OutlookError, flight_so_far, outlook_of};
-pub use physics::{Aerodynamics, BALL_RADIUS_M, Physics};
+pub use physics::{Aerodynamics, Physics};
 pub use pitch::{PitchOptions, flight_samples, is_far_off, pitch_from_flight};
 pub use residuals::{PointResidual, residuals};
 pub use solve::{FlightOptions, solve_flight};

@@ -2,10 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-/// Mass of the ball, kg (domain §1).
-pub const BALL_MASS_KG: f64 = 0.14529;
-/// Radius of the ball, metres (domain §1).
-pub const BALL_RADIUS_M: f64 = 0.036888;
+use crate::scene::{BALL_MASS_KG, BALL_RADIUS_M};
 
 /// Speed at which the lift vector is stated, m/s.
 const LIFT_SPEED_MPS: f64 = 40.0;

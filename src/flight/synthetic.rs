@@ -6,9 +6,10 @@ use rand::{Rng, SeedableRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_pcg::Pcg64;
 
-use super::physics::{BALL_RADIUS_M, Physics};
+use super::physics::Physics;
 use super::sighting::{CameraModel, CameraNoise};
 use crate::geometry::{Intrinsics, Pixel, Pose};
+use crate::scene::BALL_RADIUS_M;
 use crate::scene::{CameraCalibration, CameraId, Track, TrackPoint};
 use crate::time::{CameraTiming, StampedMidpoint};
 

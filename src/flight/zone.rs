@@ -2,7 +2,7 @@
 
 use nalgebra::Matrix2;
 
-use super::physics::BALL_RADIUS_M;
+use crate::scene::BALL_RADIUS_M;
 
 /// Half the plate's width, metres (8.5 in).
 pub const HALF_PLATE_M: f64 = 0.2159;

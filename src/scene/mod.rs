@@ -4,6 +4,7 @@
 //! camera) → *flight* (3-D over time) → *pitch* (a flight and its numbers); beside them the *rig* (what a
 //! person knows of the site), the *field* (landmarks by name) and the *calibration*.
 
+mod ball;
 mod calibration;
 mod camera;
 mod detection;
@@ -17,6 +18,7 @@ mod rig;
 mod search;
 mod track;
 
+pub use ball::{BALL_MASS_KG, BALL_RADIUS_M};
 pub use calibration::{
     Calibration, CalibrationMethod, CameraCalibration, CostStep, Parameter, ParameterKind, WorldFrame,
 };

@@ -4,10 +4,8 @@
 
 use nalgebra::{Point3, Vector3};
 
-/// Ball mass, kg (domain §1).
-pub const BALL_MASS_KG: f64 = 0.14529;
-/// Ball radius, m (domain §1).
-pub const BALL_RADIUS_M: f64 = 0.036888;
+use crate::scene::{BALL_MASS_KG, BALL_RADIUS_M};
+
 /// Time constant of the spin's decay, s (domain §2: 25–30 s).
 const SPIN_DECAY_S: f64 = 27.0;
 /// Step of the integration and of the table, s. One step less or more changes a plate point by < 1 nm.

@@ -24,7 +24,7 @@ mod write;
 
 pub use clock::{CameraClock, Exposure};
 pub use error::SimulationError;
-pub use flight::{BALL_MASS_KG, BALL_RADIUS_M, Flight, FlightEnd, FlightState, Forces, Transverse};
+pub use flight::{Flight, FlightEnd, FlightState, Forces, Transverse};
 pub use options::{ClutterSpec, DetectionNoise, LandmarkClicks, Preset, RenderOptions};
 pub use render::{CameraFrames, CameraRenderer, camera_frames, write_frames};
 pub use scenario::{CameraSpec, FlightLaw, Knuckle, NineNumbers, PitchFile, PitchSpec, Scenario, SiteSpec};

@@ -290,7 +290,7 @@ pub(super) fn sight(pose: &Pose, lens: &Intrinsics, ball: &ThrownBall, true_s: f
     Some(Sight {
         pixel: seen.pixel,
         velocity_pxps: velocity.into(),
-        radius_px: super::flight::BALL_RADIUS_M * across.abs().sqrt(),
+        radius_px: crate::scene::BALL_RADIUS_M * across.abs().sqrt(),
     })
 }
 

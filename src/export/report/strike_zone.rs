@@ -2,7 +2,8 @@
 
 use nalgebra::Matrix2;
 
-use crate::flight::{BALL_RADIUS_M, FOOT_M, HALF_PLATE_M, StrikeZone};
+use crate::flight::{FOOT_M, HALF_PLATE_M, StrikeZone};
+use crate::scene::BALL_RADIUS_M;
 use crate::scene::Pitch;
 
 use super::chart::{Chart, Margins, Scale};

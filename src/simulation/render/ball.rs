@@ -8,7 +8,7 @@ use nalgebra::{Point3, Vector3};
 use super::background::{blur, gaussian_half_kernel};
 use super::canvas::Patch;
 use crate::geometry::{Intrinsics, Pose};
-use crate::simulation::flight::BALL_RADIUS_M;
+use crate::scene::BALL_RADIUS_M;
 
 /// Sub-pixels per pixel and axis.
 const FINE: usize = 4;

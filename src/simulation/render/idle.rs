@@ -9,7 +9,7 @@ use rand_pcg::Pcg64Mcg;
 
 use super::limb::Limb;
 use super::people::{Play, limb, mix};
-use crate::simulation::flight::BALL_RADIUS_M;
+use crate::scene::BALL_RADIUS_M;
 
 /// Practice begins this long after a pitch and ends this long before the next, seconds.
 const AFTER_S: f64 = 7.0;

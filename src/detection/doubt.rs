@@ -1,0 +1,91 @@
+//! Centres that are off the path of their neighbours by more than both know: half behind a wire, before a step of the light.
+//!
+//! Such a centre keeps its place, and its covariance gets what it is off: it then says as little as it knows. Done when all has
+//! been judged, since what wavers must not pass for unsure.
+
+use nalgebra::Matrix2;
+
+use super::path::{Near, place};
+use crate::scene::Track;
+
+/// A centre further off than so many σ of the path and its own is doubted.
+const SIGMAS_MAX: f64 = 3.0;
+/// Points on each side among which the nearest are looked for.
+const REACH: usize = 12;
+/// Passes: in the second the path no longer follows what the first doubted.
+const PASSES: usize = 2;
+
+/// Widens the covariance of centres that are off the path of their neighbours; `radius_px` is the ball's. Gives how many are.
+pub fn doubt(track: &mut Track, radius_px: f64) -> usize {
+    let told: Vec<_> = track.points.iter().map(|point| point.covariance_px2).collect();
+    let mut doubted = 0;
+    for _ in 0..PASSES {
+        let off: Vec<Option<Matrix2<f64>>> = (0..track.points.len())
+            .map(|index| off_path(track, index, (told.get(index).copied().flatten()?, radius_px)))
+            .collect();
+        doubted = off.iter().flatten().count();
+        for ((point, told), off) in track.points.iter_mut().zip(&told).zip(&off) {
+            point.covariance_px2 = told.map(|told| off.map_or(told, |off| told + off));
+        }
+    }
+    doubted
+}
+
+/// The square of how far a point of this covariance is off the path of its neighbours, px²; `None` where it is on it.
+fn off_path(
+    track: &Track,
+    index: usize,
+    (covariance, radius_px): (Matrix2<f64>, f64),
+) -> Option<Matrix2<f64>> {
+    let point = track.points.get(index)?;
+    let epoch = point.stamped.nanos();
+    let near = track.points.iter().enumerate();
+    let near = near.skip(index.saturating_sub(REACH)).take(2 * REACH + 1);
+    let near = near.filter(|(i, _)| *i != index);
+    let place = place(
+        near.filter_map(|(_, point)| Near::of_point(epoch, point))
+            .collect(),
+    )?;
+    let off = point.pixel.vector() - place.centre_px;
+    let variance = 0.5 * covariance.trace() + place.sigma_px.powi(2) + place.bend_sigma_px(radius_px).powi(2);
+    (off.norm() > SIGMAS_MAX * variance.sqrt()).then(|| off * off.transpose())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Pixel;
+    use crate::scene::{CameraId, TrackPoint};
+    use crate::time::StampedMidpoint;
+
+    #[test]
+    fn a_centre_off_its_neighbours_path_is_as_unsure_as_it_is_off() {
+        let sigma_px = 0.03;
+        let mut track = Track {
+            camera: CameraId::new("a").unwrap(),
+            track: 0,
+            points: (0..40)
+                .map(|i| TrackPoint {
+                    frame: i,
+                    stamped: StampedMidpoint::from_seconds_since(0, i as f64 / 175.0),
+                    pixel: Pixel::new(16.0 * i as f64, 0.01 * (i * i) as f64),
+                    covariance_px2: Some(Matrix2::identity() * sigma_px * sigma_px),
+                })
+                .collect(),
+        };
+        let still = track.clone();
+        assert_eq!(doubt(&mut track, 3.0), 0);
+        assert_eq!(track, still);
+        track.points[20].pixel.x += 0.8;
+        track.points[21].pixel.y -= 0.4;
+        assert_eq!(doubt(&mut track, 3.0), 2, "no neighbour is doubted");
+        let along = track.points[20].covariance_px2.unwrap();
+        assert!(
+            (along.m11.sqrt() - 0.8).abs() < 0.08 && along.m22.sqrt() < 0.1,
+            "{along}"
+        );
+        let across = track.points[21].covariance_px2.unwrap();
+        assert!((across.m22.sqrt() - 0.4).abs() < 0.05, "{across}");
+        assert_eq!(track.points[22].covariance_px2, still.points[22].covariance_px2);
+    }
+}
