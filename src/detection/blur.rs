@@ -4,11 +4,13 @@ use super::disc::Edge;
 use super::fit::{Picture, Shared, fit_shared};
 
 /// Blurs of the disc's edge that are tried (σ, pixels): pixel area alone to soft optics.
-pub const EDGE_SIGMAS_PX: [f64; 5] = [0.3, 0.42, 0.55, 0.7, 0.9];
+pub const EDGE_SIGMAS_PX: [f64; 10] = [0.3, 0.36, 0.43, 0.52, 0.62, 0.74, 0.88, 1.05, 1.25, 1.5];
 /// Points of a track that has a say in the blur.
 const BLUR_POINTS_MIN: usize = 45;
 /// ... and its costs do not differ by more than this from blur to blur (a ball: 1.3 to 1.8).
 const BLUR_RATIO_MAX: f64 = 2.2;
+/// Blurs on each side of the best that are compared with it.
+const BESIDE: usize = 2;
 /// Tracks on which all blurs are tried.
 const BLUR_TRACKS: usize = 4;
 /// Gauss–Newton steps of a trial.
@@ -66,11 +68,19 @@ impl BlurChoice {
         })
     }
 
-    /// Whether these costs are those of a ball: no blur explains it twice as well as another.
-    fn plausible(costs: &[f64]) -> bool {
-        let low = costs.iter().copied().fold(f64::INFINITY, f64::min);
-        let high = costs.iter().copied().fold(0.0, f64::max);
-        high < BLUR_RATIO_MAX * low
+    /// Whether these costs are those of a ball: no blur explains it many times as well as those beside it.
+    fn plausible(costs: &BlurCosts) -> bool {
+        let (best, low) = costs
+            .iter()
+            .copied()
+            .enumerate()
+            .min_by(|a, b| a.1.total_cmp(&b.1))
+            .unwrap_or((0, f64::INFINITY));
+        let beside = costs
+            .iter()
+            .skip(best.saturating_sub(BESIDE))
+            .take(2 * BESIDE + 1);
+        beside.copied().fold(0.0, f64::max) < BLUR_RATIO_MAX * low
     }
 }
 

@@ -21,6 +21,8 @@ const LANES: usize = 16;
 type Lane = [f32; LANES];
 /// Nearer to the centre than this there is no direction, pixels.
 const MIDDLE_PX: f32 = 1e-6;
+/// The line between lit and unlit is no blurrier than where the ball is this deep, radii.
+const FALL_DEPTH_MIN: f32 = 0.3;
 /// Less of a pixel is nothing.
 const COVERAGE_MIN: f32 = 1e-9;
 
@@ -116,12 +118,8 @@ pub struct Look<'a> {
     huber_sigmas: f32,
     edge_radius_px: f32,
     edge_by_radius: f32,
-    softness: f32,
-    /// |(l_x, l_y)|: how fast the light falls across the line between lit and unlit, and over the blur's width.
-    light_slope: f32,
-    light_width: f32,
-    per_light_width: f32,
-    softness_over_slope: f32,
+    /// (σ/r)²: variance of the blur in radii.
+    spread: f32,
 }
 
 impl<'a> Look<'a> {
@@ -136,9 +134,6 @@ impl<'a> Look<'a> {
         let edge_radius_px = (radius * radius - edge.sigma_px * edge.sigma_px)
             .max(0.04 * radius * radius)
             .sqrt();
-        let softness = edge.sigma_px / radius;
-        let light_slope = parameters[LIGHT + 5].hypot(parameters[LIGHT + 6]).max(1e-9);
-        let light_width = softness * light_slope;
         Self {
             centre: Vector2::new(parameters[0], parameters[1]),
             level: parameters[LEVEL] as f32,
@@ -153,11 +148,7 @@ impl<'a> Look<'a> {
             huber_sigmas: huber_sigmas as f32,
             edge_radius_px: edge_radius_px as f32,
             edge_by_radius: (radius / edge_radius_px) as f32,
-            softness: softness as f32,
-            light_slope: light_slope as f32,
-            light_width: light_width as f32,
-            per_light_width: (1.0 / light_width.max(1e-9)) as f32,
-            softness_over_slope: (softness / light_slope) as f32,
+            spread: (edge.sigma_px / radius).powi(2) as f32,
         }
     }
 }
@@ -273,12 +264,16 @@ fn huber(squared: f32, sigmas: f32) -> (f32, f32) {
     }
 }
 
-/// The blurred edge at one place.
+/// The blurred edge at one place: how much of the blur is on the ball, and mean and variance of that part across the edge.
 struct Rim {
     coverage: f32,
     slope: f32,
+    /// The mean lies so much further in, pixels.
     shift_px: f32,
+    /// Its variance as a share of the blur's; also how far the mean follows the place.
     follow: f32,
+    /// Derivative of `follow` by the place, outwards, 1/px.
+    follow_slope: f32,
 }
 
 #[inline(always)]
@@ -290,7 +285,8 @@ fn rim(inside_px: f32, look: &Look<'_>) -> Rim {
         coverage,
         slope: density * look.per_blur,
         shift_px: look.blur_px * cut,
-        follow: 1.0 - cut * (z + cut),
+        follow: (1.0 - cut * (z + cut)).max(0.0),
+        follow_slope: (cut - cut * (z + cut) * (z + 2.0 * cut)) * look.per_blur,
     }
 }
 
@@ -324,7 +320,7 @@ fn see<const ALL: bool>(block: &Block, corner: Vector2<f64>, look: &Look<'_>) ->
             // In the very middle there is no direction, and the shift is nothing.
             let tangential = if distance[l] <= MIDDLE_PX { 1.0 } else { followed };
             let (u, v) = (rx[l] * tangential * per_radius, ry[l] * tangential * per_radius);
-            let shine = shine(u, v, look);
+            let shine = shine((u, v), (nx, ny), rim.follow, look);
             let s = level * shine.value;
             let (s_u, s_v) = (level * shine.by_u * per_radius, level * shine.by_v * per_radius);
             let (d, slope) = (share * rim.coverage, share * rim.slope);
@@ -333,7 +329,9 @@ fn see<const ALL: bool>(block: &Block, corner: Vector2<f64>, look: &Look<'_>) ->
             coverage[l] += d;
             // The place seen follows the pixel fully along the rim, partly across it.
             let outward = s_u * nx + s_v * ny;
-            let across = outward * (rim.follow - tangential);
+            // The part on the ball is narrower near the edge.
+            let narrower = level * shine.by_follow * rim.follow_slope;
+            let across = outward * (rim.follow - tangential) + narrower;
             let by_rx = lift * slope * nx - d * (s_u * tangential + across * nx);
             let by_ry = lift * slope * ny - d * (s_v * tangential + across * ny);
             let (by_x, by_y) = (xx * by_rx + yx * by_ry, xy * by_rx + yy * by_ry);
@@ -344,17 +342,17 @@ fn see<const ALL: bool>(block: &Block, corner: Vector2<f64>, look: &Look<'_>) ->
                 continue;
             }
             gradient[RADIUS][l] += lift * slope * look.edge_by_radius
-                + d * (outward * (1.0 - rim.follow) * look.edge_by_radius
+                + d * ((outward * (1.0 - rim.follow) - narrower) * look.edge_by_radius
                     - (s_u * u + s_v * v)
-                    - level * shine.by_softness * look.softness * per_radius);
+                    - 2.0 * level * shine.by_spread * look.spread * per_radius);
             gradient[STREAK_SCALE][l] += by_x * moved_x + by_y * moved_y;
             // One by one: as an array they would be scattered.
             let dl = d * level;
             gradient[LIGHT][l] += dl * u;
             gradient[LIGHT + 1][l] += dl * v;
-            gradient[LIGHT + 2][l] += dl * u * u;
-            gradient[LIGHT + 3][l] += dl * u * v;
-            gradient[LIGHT + 4][l] += dl * v * v;
+            gradient[LIGHT + 2][l] += dl * shine.uu;
+            gradient[LIGHT + 3][l] += dl * shine.uv;
+            gradient[LIGHT + 4][l] += dl * shine.vv;
             gradient[LIGHT + 5][l] += dl * shine.by_lx;
             gradient[LIGHT + 6][l] += dl * shine.by_ly;
             gradient[LIGHT + 7][l] += dl * shine.by_lz;
@@ -367,43 +365,103 @@ fn see<const ALL: bool>(block: &Block, corner: Vector2<f64>, look: &Look<'_>) ->
     }
 }
 
-/// The light at one point of the ball relative to its level.
+/// The light about one point of the ball relative to its level.
 struct Shine {
     value: f32,
     by_u: f32,
     by_v: f32,
-    by_softness: f32,
+    /// By [`Rim::follow`], and by the blur's variance in radii.
+    by_follow: f32,
+    by_spread: f32,
     by_lx: f32,
     by_ly: f32,
     by_lz: f32,
+    /// Means of u², u·v and v².
+    uu: f32,
+    uv: f32,
+    vv: f32,
 }
 
-/// The blur, σ/r wide in radii, rounds the line between lit and unlit: max(0, f) becomes the mean of max(0, f + ξ) with
-/// ξ ~ N(0, σ/r·|(l_x, l_y)|).
+/// The mean of the light over the part of the blur that is on the ball: about (u, v), of variance (σ/r)² along the rim and
+/// `follow` times that across it, the direction `n`.
+///
+/// Squares get their variances. The sphere's depth √(1 − u² − v²) is taken one standard deviation further in and further out,
+/// with the variance along the rim. max(0, f) becomes the mean of max(0, f + ξ), with ξ as wide as f changes over the blur.
 #[inline(always)]
-fn shine(u: f32, v: f32, look: &Look<'_>) -> Shine {
+fn shine((u, v): (f32, f32), (nx, ny): (f32, f32), follow: f32, look: &Look<'_>) -> Shine {
     const DEPTH_MIN: f32 = RIM_DEPTH_MIN as f32;
     let [b, c, d, e, f, lx, ly, lz] = look.light;
-    let depth = (1.0 - u * u - v * v).max(DEPTH_MIN * DEPTH_MIN).sqrt();
+    let (along, across) = (look.spread, look.spread * follow);
+    let narrower = across - along;
+    let (nxx, nxy, nyy) = (nx * nx, nx * ny, ny * ny);
+    let uu = u * u + along + narrower * nxx;
+    let uv = u * v + narrower * nxy;
+    let vv = v * v + along + narrower * nyy;
+
+    let out = u * nx + v * ny;
+    let aside = across.sqrt();
+    let (near, far) = (out - aside, out + aside);
+    let near_depth = (1.0 - near * near - along).max(0.0).sqrt();
+    let far_depth = (1.0 - far * far - along).max(0.0).sqrt();
+    let depth = 0.5 * (near_depth + far_depth);
+    // No slope where there is no ball.
+    let per = |depth: f32| {
+        if depth > 0.0 {
+            1.0 / depth.max(DEPTH_MIN)
+        } else {
+            0.0
+        }
+    };
+    let (per_near, per_far) = (per(near_depth), per(far_depth));
+    let depth_by_out = -0.5 * (near * per_near + far * per_far);
+    let depth_by_across = 0.25 * (near * per_near - far * per_far) / aside.max(1e-6);
+    let depth_by_along = -0.25 * (per_near + per_far);
+
     let facing = lx * u + ly * v + lz * depth;
-    let (lit, density) = share_and_density(facing * look.per_light_width);
-    let by_slope = density * look.softness_over_slope;
-    let towards = lz / depth;
+    let per_fall = 1.0 / depth.max(FALL_DEPTH_MIN);
+    let fall = -out * per_fall;
+    let (outward, sideways) = (lx * nx + ly * ny + lz * fall, ly * nx - lx * ny);
+    let width = (across * outward * outward + along * sideways * sideways)
+        .max(1e-12)
+        .sqrt();
+    let per_width = 1.0 / width;
+    let (lit, density) = share_and_density(facing * per_width);
+    // By the variances across and along the rim.
+    let by_across = d * nxx
+        + e * nxy
+        + f * nyy
+        + lit * lz * depth_by_across
+        + 0.5 * density * outward * outward * per_width;
+    let by_along = d * nyy - e * nxy
+        + f * nxx
+        + lit * lz * depth_by_along
+        + 0.5 * density * sideways * sideways * per_width;
+    let (wide_out, wide_side) = (
+        density * across * outward * per_width,
+        density * along * sideways * per_width,
+    );
+    // The width changes with the place too: outwards with the sphere's slope, sideways with the direction of the rim.
+    let fall_by_out = if depth > FALL_DEPTH_MIN {
+        per_fall * (out * depth_by_out * per_fall - 1.0)
+    } else {
+        -per_fall
+    };
+    let wider_out = wide_out * lz * fall_by_out;
+    let outwards = lit * lz * depth_by_out + wider_out;
+    let wider_side =
+        density * sideways * (narrower * outward + along * lz * fall) * per_width / out.max(0.05);
     Shine {
-        value: 1.0
-            + b * u
-            + c * v
-            + d * u * u
-            + e * u * v
-            + f * v * v
-            + lit * facing
-            + look.light_width * density,
-        by_u: b + 2.0 * d * u + e * v + lit * (lx - towards * u),
-        by_v: c + e * u + 2.0 * f * v + lit * (ly - towards * v),
-        by_softness: density * look.light_slope,
-        by_lx: lit * u + by_slope * lx,
-        by_ly: lit * v + by_slope * ly,
-        by_lz: lit * depth,
+        value: 1.0 + b * u + c * v + d * uu + e * uv + f * vv + lit * facing + width * density,
+        by_u: b + 2.0 * d * u + e * v + lit * lx + outwards * nx - wider_side * ny,
+        by_v: c + e * u + 2.0 * f * v + lit * ly + outwards * ny + wider_side * nx,
+        by_follow: by_across * look.spread,
+        by_spread: by_across * follow + by_along,
+        by_lx: lit * u + wide_out * nx - wide_side * ny,
+        by_ly: lit * v + wide_out * ny + wide_side * nx,
+        by_lz: lit * depth + wide_out * fall,
+        uu,
+        uv,
+        vv,
     }
 }
 

@@ -115,6 +115,32 @@ impl Canvas {
         }
     }
 
+    /// The same through optics that blur by a Gaussian of this σ, pixels.
+    pub fn blurred(&self, sigma_px: f64) -> Self {
+        let reach = (4.0 * sigma_px).ceil() as isize;
+        let weights: Vec<f64> = (-reach..=reach)
+            .map(|k| (-0.5 * (k as f64 / sigma_px).powi(2)).exp())
+            .collect();
+        let sum: f64 = weights.iter().sum();
+        let (width, height) = (self.width as isize, self.height as isize);
+        let along = |light: &[f32], (dx, dy): (isize, isize)| -> Vec<f32> {
+            let level = |x: isize, y: isize| {
+                let (x, y) = (x.clamp(0, width - 1), y.clamp(0, height - 1));
+                f64::from(light[(y * width + x) as usize])
+            };
+            let blurred = |i: usize| {
+                let (x, y) = (i as isize % width, i as isize / width);
+                let all = (-reach..=reach).zip(&weights);
+                (all.map(|(k, w)| w * level(x + k * dx, y + k * dy)).sum::<f64>() / sum) as f32
+            };
+            (0..light.len()).map(blurred).collect()
+        };
+        Self {
+            light: along(&along(&self.light, (1, 0)), (0, 1)),
+            ..self.clone()
+        }
+    }
+
     /// Adds noise and rounds.
     pub fn frame(&self, number: u64, rate_hz: f64, noise_sigma: f32) -> Frame {
         let mut random = Pcg64Mcg::seed_from_u64(number.wrapping_mul(0x9e37_79b9).wrapping_add(7));

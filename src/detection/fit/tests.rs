@@ -10,12 +10,19 @@ struct Case {
     noise: f32,
     shade: f64,
     to_light: [f64; 3],
+    /// Optics, σ in pixels; 0: none.
+    blur_px: f64,
 }
 
 /// Bias and rms along and across the motion over sub-pixel places, against the painter's truth, and the mean
 /// squared error over its covariance.
 fn errors(case: &Case, sigma_edge: f64) -> ([f64; 2], [f64; 2], f64, f64, Shared, f64) {
-    let stand = Canvas::stand(64, 64, 5, 30.0);
+    let sharp = Canvas::stand(64, 64, 5, 30.0);
+    let seen = |canvas: &Canvas| match case.blur_px {
+        0.0 => canvas.clone(),
+        blur_px => canvas.blurred(blur_px),
+    };
+    let stand = seen(&sharp);
     let edge = Edge::new(sigma_edge);
     let angle = 0.3f64;
     let direction = Vector2::new(angle.cos(), angle.sin());
@@ -27,7 +34,7 @@ fn errors(case: &Case, sigma_edge: f64) -> ([f64; 2], [f64; 2], f64, f64, Shared
             32.0 + 0.211 * (trial % 7) as f64,
         ];
         truths.push(Vector2::new(centre[0], centre[1]));
-        let mut canvas = stand.clone();
+        let mut canvas = sharp.clone();
         canvas.ball(&Ball {
             centre,
             streak: [case.streak * direction.x, case.streak * direction.y],
@@ -37,7 +44,7 @@ fn errors(case: &Case, sigma_edge: f64) -> ([f64; 2], [f64; 2], f64, f64, Shared
             to_light: case.to_light,
         });
         frames.push([
-            canvas.frame(trial, 175.0, case.noise),
+            seen(&canvas).frame(trial, 175.0, case.noise),
             stand.frame(1000 + trial, 175.0, case.noise),
             stand.frame(2000 + trial, 175.0, case.noise),
         ]);
@@ -105,6 +112,7 @@ fn the_centre_has_no_bias_from_the_light() {
                 noise: 2.0,
                 shade,
                 to_light,
+                blur_px: 0.0,
             };
             let (bias, rms, chi2, nees, shared, cost) = errors(&case, 0.3);
             println!(
@@ -124,6 +132,43 @@ fn the_centre_has_no_bias_from_the_light() {
         }
     }
     assert_eq!(cases, 6);
+}
+
+#[test]
+fn the_centre_has_no_bias_from_optics_that_blur() {
+    // From above, from the side, from behind the ball (z forward), from the camera.
+    let lights = [
+        [0.3, -1.0, -0.5],
+        [-0.5, -0.8, -0.2],
+        [0.35, -0.87, 0.33],
+        [0.1, -0.6, -0.8],
+    ];
+    let mut cases = 0;
+    for blur_px in [0.4, 0.7, 0.95] {
+        for to_light in lights {
+            let case = Case {
+                radius: 3.4,
+                streak: 2.5,
+                noise: 1.5,
+                shade: 75.0,
+                to_light,
+                blur_px,
+            };
+            // A pixel's area adds a twelfth.
+            let (bias, rms, chi2, nees, shared, _) = errors(&case, blur_px.hypot(12f64.powf(-0.5)));
+            println!(
+                "blur {blur_px} light {to_light:?}: bias {bias:.3?} rms {rms:.3?} chi2 {chi2:.2} nees {nees:.2} \
+                 radius {:.2}",
+                shared.values[0]
+            );
+            assert!(
+                bias.iter().all(|b| b.abs() < 0.03),
+                "blur {blur_px}, light {to_light:?}: {bias:?} px"
+            );
+            cases += 1;
+        }
+    }
+    assert_eq!(cases, 12);
 }
 
 #[test]
