@@ -371,14 +371,7 @@ impl Detector {
     fn look_before_bodies(&mut self, (index, near): (usize, &Images<'_>), stamp: FrameStamp) {
         self.bodies.find(&mut self.tiles);
         self.looked.keep_rest(index, &self.tiles);
-        let bodies = &self.bodies.large;
-        if let Some(first) = bodies.first() {
-            self.movers.fetch_first(near, self.bodies.tiles(first));
-        }
-        for (number, body) in bodies.iter().enumerate() {
-            if let Some(next) = bodies.get(number + 1) {
-                self.movers.fetch_first(near, self.bodies.tiles(next));
-            }
+        for body in &self.bodies.large {
             let (band, column) = body.middle();
             let sigma = self.scan.noise.difference_sigma(band, column);
             let limits = spot_limits(&self.config, self.lag, sigma);

@@ -90,6 +90,20 @@ pub fn fetch_ahead(image: &[u8], at: usize) {
     let _ = (image, at);
 }
 
+/// [`fetch_ahead`] into the second cache: rows of a wide image two apart share a set of the first, which has no room for
+/// those of three images.
+#[inline(always)]
+pub fn fetch_further(image: &[u8], at: usize) {
+    #[cfg(target_arch = "x86_64")]
+    if let Some(level) = image.get(at) {
+        use std::arch::x86_64::{_MM_HINT_T1, _mm_prefetch};
+        // SAFETY: every x86-64 has SSE, and nothing is read.
+        unsafe { _mm_prefetch::<_MM_HINT_T1>(std::ptr::from_ref(level).cast::<i8>()) }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    let _ = (image, at);
+}
+
 macro_rules! dispatched {
     ($room:ident: $(#[$doc:meta])* $name:ident ( $($arg:ident : $type:ty),* ) $(-> $result:ty)?) => {
         impl Kernels {

@@ -4,7 +4,7 @@
 //!
 //! A first look and a second one for [`super::movers`]. Every second row is read.
 
-use super::dispatch::fetch_ahead;
+use super::dispatch::{fetch_ahead, fetch_further};
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 
 /// Rows from one that is read to the next.
@@ -16,6 +16,11 @@ const REACH_MAX_PX: usize = 4;
 pub const ROWS: usize = TILE_HEIGHT_PX / ROW_STEP;
 /// Columns of a tile with those in reach, and some more for whole vectors.
 const WIDE_PX: usize = TILE_WIDTH_PX + 4 * REACH_MAX_PX;
+
+/// Columns of a tile with those in reach.
+const LOOKED_PX: usize = TILE_WIDTH_PX + 2 * REACH_MAX_PX;
+/// Memory that is fetched together.
+const LINE_BYTES: usize = 64;
 
 /// A row of a tile.
 pub type Piece = [u8; TILE_WIDTH_PX];
@@ -37,23 +42,82 @@ fn widen<const WIDTH: usize>([low, high]: &mut Range<[u8; WIDTH]>, [lows, highs]
     }
 }
 
-/// The levels of a row from `REACH` columns left of `left` on: each a range, of nothing where the image has none.
+/// Rows about a place: the first so many above it, so many, and from one to the next.
+#[derive(Clone, Copy)]
+struct Rows {
+    above: usize,
+    count: usize,
+    step: usize,
+}
+
+/// Rows of an image, `WIDTH` columns from a place on, where the image has them all.
 #[inline(always)]
-fn row_about<const REACH: usize>(
+fn block<const WIDTH: usize>(
     image: &[u8],
     (width_px, height_px): (usize, usize),
     (y, left): (usize, usize),
+    rows: Rows,
+) -> Option<&[u8]> {
+    let first = y.checked_sub(rows.above)?;
+    let last = first + (rows.count - 1) * rows.step;
+    let inside = left + WIDTH <= width_px && last < height_px;
+    let all = image.get(first * width_px + left..last * width_px + left + WIDTH);
+    all.filter(|_| inside)
+}
+
+/// Adds the columns of so many rows of a block to a range.
+#[inline(always)]
+fn widen_by_rows<const WIDTH: usize>(
+    range: &mut Range<[u8; WIDTH]>,
+    block: &[u8],
+    (count, stride): (usize, usize),
+) {
+    for row in 0..count {
+        if let Some(levels) = block.get(row * stride..).and_then(|rest| rest.first_chunk()) {
+            widen(range, &[*levels; 2]);
+        }
+    }
+}
+
+/// The range of each column of two images in some rows, from `REACH` columns left of `left` on.
+#[inline(always)]
+fn range_about<const REACH: usize>(
+    (one, other): (&[u8], &[u8]),
+    size_px: (usize, usize),
+    (y, left): (usize, usize),
+    rows: Rows,
 ) -> Range<Wide> {
+    let mut range = nothing();
+    let inside = |image| block::<WIDE_PX>(image, size_px, (y, left.checked_sub(REACH)?), rows);
+    if let (Some(one), Some(other)) = (inside(one), inside(other)) {
+        let count_and_stride = (rows.count, rows.step * size_px.0);
+        widen_by_rows(&mut range, one, count_and_stride);
+        widen_by_rows(&mut range, other, count_and_stride);
+        return range;
+    }
+    for row in 0..rows.count {
+        if let Some(y) = (y + rows.step * row).checked_sub(rows.above) {
+            widen(&mut range, &row_about::<REACH, WIDE_PX>(one, size_px, (y, left)));
+            widen(
+                &mut range,
+                &row_about::<REACH, WIDE_PX>(other, size_px, (y, left)),
+            );
+        }
+    }
+    range
+}
+
+/// The levels of a row from `REACH` columns left of `left` on: each a range, of nothing where the image has none.
+#[inline(always)]
+fn row_about<const REACH: usize, const WIDTH: usize>(
+    image: &[u8],
+    (width_px, height_px): (usize, usize),
+    (y, left): (usize, usize),
+) -> Range<[u8; WIDTH]> {
     let begin = left.saturating_sub(REACH);
     let row = y * width_px;
-    if left >= REACH && begin + WIDE_PX <= width_px && y < height_px {
-        let whole = image.get(row + begin..row + begin + WIDE_PX);
-        return whole
-            .and_then(|levels| <Wide>::try_from(levels).ok())
-            .map_or(nothing(), |levels| [levels; 2]);
-    }
     let skipped = (begin + REACH).saturating_sub(left);
-    let end = (begin + WIDE_PX - skipped).min(width_px);
+    let end = (begin + WIDTH - skipped).min(width_px);
     let mut range = nothing();
     if let Some(levels) = image.get(row + begin..row + end).filter(|_| y < height_px) {
         for bound in &mut range {
@@ -78,11 +142,11 @@ fn widened<const REACH: usize>([lows, highs]: &Range<Wide>) -> Range<Piece> {
 
 /// How far the levels of a row are outside a range.
 #[inline(always)]
-fn beyond<const REACH: usize>([lows, highs]: &Range<Wide>, [low, high]: &Range<Piece>) -> Piece {
+fn beyond([lows, highs]: &Range<Piece>, [low, high]: &Range<Piece>) -> Piece {
     let mut changes = [0; TILE_WIDTH_PX];
     for i in 0..TILE_WIDTH_PX {
-        let over = highs[REACH + i].saturating_sub(high[i]);
-        changes[i] = over.max(low[i].saturating_sub(lows[REACH + i]));
+        let over = highs[i].saturating_sub(high[i]);
+        changes[i] = over.max(low[i].saturating_sub(lows[i]));
     }
     changes
 }
@@ -122,18 +186,29 @@ fn rows_within<const REACH: usize>(
 ) -> u8 {
     let (top, left) = (band * TILE_HEIGHT_PX, column * TILE_WIDTH_PX);
     // The tile's rows, and the next ones above and below.
-    let mut range = nothing();
-    for row in 0..ROWS + 2 {
-        if let Some(y) = (top + ROW_STEP * row).checked_sub(ROW_STEP) {
-            widen(&mut range, &row_about::<REACH>(one, size_px, (y, left)));
-            widen(&mut range, &row_about::<REACH>(other, size_px, (y, left)));
+    let about = Rows {
+        above: ROW_STEP,
+        count: ROWS + 2,
+        step: ROW_STEP,
+    };
+    let range = widened::<REACH>(&range_about::<REACH>((one, other), size_px, (top, left), about));
+    let own = Rows {
+        above: 0,
+        count: ROWS,
+        step: ROW_STEP,
+    };
+    if let Some(block) = block::<TILE_WIDTH_PX>(current, size_px, (top, left), own) {
+        // All together first: in most tiles there is nothing.
+        let mut levels = nothing();
+        widen_by_rows(&mut levels, block, (ROWS, ROW_STEP * size_px.0));
+        if !any_above(&beyond(&levels, &range), threshold) {
+            return 0;
         }
     }
-    let range = widened::<REACH>(&range);
     let mut found = 0;
     for row in 0..ROWS {
-        let levels = row_about::<REACH>(current, size_px, (top + ROW_STEP * row, left));
-        let any = any_above(&beyond::<REACH>(&levels, &range), threshold);
+        let levels = row_about::<0, TILE_WIDTH_PX>(current, size_px, (top + ROW_STEP * row, left));
+        let any = any_above(&beyond(&levels, &range), threshold);
         found |= u8::from(any) << row;
     }
     found
@@ -163,15 +238,14 @@ fn changes_within<const REACH: usize>(
     size_px: (usize, usize),
     (y, left): (usize, usize),
 ) -> Piece {
-    let mut range = nothing();
-    for step in 0..=2 * REACH {
-        if let Some(y) = (y + step).checked_sub(REACH) {
-            widen(&mut range, &row_about::<REACH>(one, size_px, (y, left)));
-            widen(&mut range, &row_about::<REACH>(other, size_px, (y, left)));
-        }
-    }
-    let levels = row_about::<REACH>(current, size_px, (y, left));
-    beyond::<REACH>(&levels, &widened::<REACH>(&range))
+    let about = Rows {
+        above: REACH,
+        count: 2 * REACH + 1,
+        step: 1,
+    };
+    let range = widened::<REACH>(&range_about::<REACH>((one, other), size_px, (y, left), about));
+    let levels = row_about::<0, TILE_WIDTH_PX>(current, size_px, (y, left));
+    beyond(&levels, &range)
 }
 
 /// Asks for the memory that [`rows_in_front`] reads of a tile, but for the rows above and below, which are of other tiles as
@@ -183,14 +257,18 @@ pub fn fetch_tile(
     (band, column): (usize, usize),
     beside: Option<(usize, usize)>,
 ) {
-    let (top, left) = (band * TILE_HEIGHT_PX, column * TILE_WIDTH_PX);
-    for y in (top..top + TILE_HEIGHT_PX).step_by(ROW_STEP) {
-        for image in [current, one, other] {
-            let row = y * width_px;
+    let begin = (band * TILE_HEIGHT_PX * width_px + column * TILE_WIDTH_PX).saturating_sub(REACH_MAX_PX);
+    for image in [current, one, other] {
+        let Some(rows) = image.get(begin..) else { continue };
+        // Rows are whole lines apart as a rule: all of them end in the line they begin in, or none does.
+        let ends_in_next = rows.as_ptr().addr() % LINE_BYTES + LOOKED_PX > LINE_BYTES;
+        for at in (0..ROWS).map(|row| row * ROW_STEP * width_px) {
             if beside != Some((band, column)) {
-                fetch_ahead(image, (row + left).saturating_sub(REACH_MAX_PX));
+                fetch_further(rows, at);
             }
-            fetch_ahead(image, row + left + TILE_WIDTH_PX + REACH_MAX_PX - 1);
+            if ends_in_next {
+                fetch_further(rows, at + LOOKED_PX - 1);
+            }
         }
     }
 }

@@ -28,15 +28,7 @@ const SPOT_SIDE_MAX_PX: usize = 40;
 const ROWS_MAX: usize = 200;
 
 /// The memory of a body's tiles is asked for so many tiles ahead.
-const TILES_AHEAD: usize = 16;
-
-/// Asks for the memory of tiles in their order; `last` is the place beside the last one asked for.
-fn fetch(near: &Images<'_>, tiles: impl Iterator<Item = (usize, usize)>, last: &mut Option<(usize, usize)>) {
-    for (band, column) in tiles {
-        fetch_tile(near.levels(), near.width_px, (band, column), *last);
-        *last = Some((band, column + 1));
-    }
-}
+const TILES_AHEAD: usize = 64;
 
 /// A spot while it is gathered.
 struct Spot {
@@ -126,11 +118,6 @@ impl MoverSearch {
         self.strongest(blob.difference_sigma)
     }
 
-    /// Asks for the memory of the first of a body's tiles, some time before it is searched.
-    pub fn fetch_first(&self, near: &Images<'_>, tiles: impl Iterator<Item = (usize, usize)>) {
-        fetch(near, tiles.take(TILES_AHEAD), &mut None);
-    }
-
     /// The strongest spots in front of a large body, given by its tiles from top to bottom.
     pub fn find_in_front(
         &mut self,
@@ -145,14 +132,19 @@ impl MoverSearch {
         self.tiles.clear();
         self.tiles.extend(tiles);
         let size_px = (near.width_px, near.height_px);
-        let mut last = None;
+        let mut beside = None;
+        let mut fetch = |tile: &(usize, usize)| {
+            fetch_tile(near.levels(), near.width_px, *tile, beside);
+            beside = Some((tile.0, tile.1 + 1));
+        };
+        self.tiles.iter().take(TILES_AHEAD).for_each(&mut fetch);
         let mut ahead = self.tiles.iter().skip(TILES_AHEAD);
-        for place in &self.tiles {
-            fetch(near, ahead.by_ref().take(1).copied(), &mut last);
-            let rows = self.kernels.rows_in_front(near.levels(), size_px, *place, limits);
+        for place in self.tiles.iter().copied() {
+            ahead.by_ref().take(1).for_each(&mut fetch);
+            let rows = self.kernels.rows_in_front(near.levels(), size_px, place, limits);
             if rows != 0 {
-                fetch_rows((near.one, near.other), near.width_px, *place, (limits.0, rows));
-                self.found.push(TileInFront { place: *place, rows });
+                fetch_rows((near.one, near.other), near.width_px, place, (limits.0, rows));
+                self.found.push(TileInFront { place, rows });
             }
         }
         let found = std::mem::take(&mut self.found);
