@@ -1,16 +1,18 @@
 //! The blur of a camera's optics: the one that explains its balls best.
 
 use super::disc::Edge;
-use super::fit::{Picture, Shared, fit_shared};
+use super::fit::{Picture, Shared, first_fit, fit_shared, fit_shares, misfit};
 
 /// Blurs of the disc's edge that are tried (σ, pixels): pixel area alone to soft optics.
 pub const EDGE_SIGMAS_PX: [f64; 10] = [0.3, 0.36, 0.43, 0.52, 0.62, 0.74, 0.88, 1.05, 1.25, 1.5];
 /// Points of a track that has a say in the blur.
 const BLUR_POINTS_MIN: usize = 45;
-/// ... and its costs do not differ by more than this from blur to blur (a ball: 1.3 to 1.8).
-const BLUR_RATIO_MAX: f64 = 2.2;
+/// ... and its costs do not differ by more than this between the best blur and those beside it.
+const BLUR_RATIO_MAX: f64 = 4.0;
 /// Blurs on each side of the best that are compared with it.
 const BESIDE: usize = 2;
+/// A picture this many times as unlike the ball as most has no say.
+const UNLIKE_MAX: f64 = 2.5;
 /// Tracks on which all blurs are tried.
 const BLUR_TRACKS: usize = 4;
 /// Gauss–Newton steps of a trial.
@@ -32,8 +34,10 @@ impl BlurChoice {
         if self.tracks >= BLUR_TRACKS {
             return;
         }
+        // Of every ball how many times: one that fits badly says no more than another.
+        let low = own.iter().copied().fold(f64::INFINITY, f64::min).max(1e-9);
         for (sum, cost) in self.costs.iter_mut().zip(own) {
-            *sum += cost;
+            *sum += (cost / low).ln();
         }
         self.tracks += 1;
     }
@@ -84,6 +88,9 @@ impl BlurChoice {
     }
 }
 
+/// What each blur tried makes of a ball: cost, and the ball by the sphere's light alone.
+type Found = [Option<(f64, Shared)>; EDGE_SIGMAS_PX.len()];
+
 /// Fits a few pictures of a track with every blur (later only with the best) and takes the likeliest over all tracks. With
 /// it how well each blur explains this track, if it is to have a say. The pictures are of the same pixels for every blur, or
 /// their costs could not be compared.
@@ -94,38 +101,11 @@ pub fn choose_edge(
     blur: &BlurChoice,
 ) -> Option<(Edge, Shared, Option<BlurCosts>)> {
     let settled = blur.tracks >= BLUR_TRACKS || (blur.tracks > 0 && points < BLUR_POINTS_MIN);
-    let mut found: [Option<(f64, Shared)>; EDGE_SIGMAS_PX.len()] = Default::default();
-    // From blur to blur the ball changes little: each begins where the last has ended.
-    let (mut held, mut released) = (*first, None::<Shared>);
-    for (index, sigma_px) in EDGE_SIGMAS_PX.iter().enumerate() {
-        if settled && index != blur.best() {
-            continue;
-        }
-        let edge = Edge::new(*sigma_px);
-        for picture in &mut pictures {
-            picture.blur(&edge);
-        }
-        // Held to the sphere alone the light would be matched by a wrong blur.
-        if fit_shared(&mut pictures, &mut held, &edge, STEPS).is_none() {
-            held = *first;
-            continue;
-        }
-        // What the light then makes of it only compares the blurs.
-        let compared = (!settled).then(|| {
-            let mut shared = released.unwrap_or(held);
-            shared.release_light();
-            let cost = fit_shared(&mut pictures, &mut shared, &edge, STEPS).map(|(_, cost)| cost);
-            released = Some(shared);
-            cost
-        });
-        if let (Some(cost), Some(slot)) = (compared.unwrap_or(Some(0.0)), found.get_mut(index)) {
-            *slot = Some((cost, held));
-        }
+    let mut found = compare(&mut pictures, first, settled.then_some(blur.best()));
+    if !settled && look_closer(&mut pictures, &found) {
+        found = compare(&mut pictures, first, None);
     }
-    let mut own = BlurCosts::default();
-    for (slot, found) in own.iter_mut().zip(&found) {
-        *slot = found.map_or(f64::INFINITY, |(cost, _)| cost);
-    }
+    let own = costs_of(&found);
     let tried = !settled && found.iter().all(Option::is_some);
     let mut total = *blur;
     if tried {
@@ -136,4 +116,79 @@ pub fn choose_edge(
     // Only a long track is surely a ball.
     let has_a_say = tried && points >= BLUR_POINTS_MIN && BlurChoice::plausible(&own);
     Some((Edge::new(total.sigma_px()?), shared, has_a_say.then_some(own)))
+}
+
+fn costs_of(found: &Found) -> BlurCosts {
+    found.map(|found| found.map_or(f64::INFINITY, |(cost, _)| cost))
+}
+
+/// The pictures with every blur, or with one alone.
+fn compare(pictures: &mut [Picture], first: &Shared, only: Option<usize>) -> Found {
+    let mut found = Found::default();
+    // From blur to blur the ball changes little: each begins where the last has ended.
+    let (mut held, mut begun, mut released) = (*first, false, None::<Shared>);
+    for (index, (sigma_px, slot)) in EDGE_SIGMAS_PX.iter().zip(&mut found).enumerate() {
+        if only.is_some_and(|only| index != only) {
+            continue;
+        }
+        let edge = Edge::new(*sigma_px);
+        for picture in pictures.iter_mut() {
+            picture.blur(&edge);
+        }
+        // Held to the sphere alone the light would be matched by a wrong blur.
+        let fitted = if begun {
+            fit_shared(pictures, &mut held, &edge, STEPS).map(|_| held)
+        } else {
+            first_fit(pictures, first, &edge, STEPS)
+        };
+        begun = fitted.is_some();
+        let Some(fitted) = fitted else { continue };
+        held = fitted;
+        if only.is_some() {
+            *slot = Some((0.0, held));
+            continue;
+        }
+        // What the light then makes of it only compares the blurs.
+        let mut shared = released.unwrap_or(held);
+        shared.release_light();
+        let compared = fit_shared(pictures, &mut shared, &edge, STEPS);
+        released = Some(shared);
+        if compared.is_some() {
+            *slot = Some((misfit(pictures, &shared, &edge), held));
+        }
+    }
+    found
+}
+
+/// Leaves out pictures that look less like the ball than most, and finds those in the shade, which a wrong blur would else
+/// explain; whether the blurs have to be compared again.
+fn look_closer(pictures: &mut Vec<Picture>, found: &Found) -> bool {
+    let costs = costs_of(found);
+    let best = costs.iter().zip(EDGE_SIGMAS_PX).zip(found);
+    let best = best.min_by(|a, b| a.0.0.total_cmp(b.0.0));
+    let Some(((_, sigma_px), Some((_, shared)))) = best else {
+        return false;
+    };
+    let (edge, mut shared) = (Edge::new(sigma_px), *shared);
+    for picture in pictures.iter_mut() {
+        picture.blur(&edge);
+    }
+    if fit_shared(pictures, &mut shared, &edge, STEPS).is_none() {
+        return false;
+    }
+    let shaded = fit_shares(pictures, &shared, &edge, STEPS);
+    let mut again = shaded.is_some();
+    if let Some((lit, _, _)) = shaded {
+        *pictures = lit;
+    }
+    let mut all: Vec<f64> = pictures.iter().map(Picture::unlike).collect();
+    all.sort_by(f64::total_cmp);
+    let usual = all.get(all.len() / 2).copied().unwrap_or(1.0).max(0.5);
+    let like = |picture: &Picture| picture.unlike() < UNLIKE_MAX * usual;
+    let (kept, count) = (pictures.iter().filter(|p| like(p)).count(), pictures.len());
+    if kept < count && 2 * kept > count {
+        pictures.retain(like);
+        again = true;
+    }
+    again
 }

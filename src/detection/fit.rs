@@ -12,6 +12,8 @@ use super::lanes::{Look, PixelLanes, Sums};
 use super::patches::Patch;
 use super::view::View;
 
+pub use shade::{fit_shares, misfit};
+
 /// Terms of the light that drift along the track: the lit sphere's, in the camera's axes. The view turns by tens of degrees
 /// while the ball passes, and the light with it ([`View::turn`]): held still it drew the centre by 0.3 px from end to end.
 const DRIFTS: usize = 3;
@@ -37,7 +39,10 @@ const MODEL_ERROR_SHARE: f64 = 0.02;
 /// Residuals beyond this many σ count linearly.
 const HUBER_SIGMAS: f64 = 2.5;
 /// Prior σ of the light's terms relative to the level: polynomial, then sphere.
-const LIGHT_SIGMA: [f64; TERMS] = [0.08, 0.08, 0.05, 0.05, 0.05, 2.0, 2.0, 2.0];
+const LIGHT_SIGMA: [f64; TERMS] = [0.06, 0.06, 0.03, 0.03, 0.03, 2.0, 2.0, 2.0];
+/// Where the sphere's light is begun (right, down, towards the camera): by day and under lamps it comes from above; from one of
+/// these alone a ball lit from another side may end with a polynomial for its light and a dark sphere.
+const LIGHT_STARTS: [[f64; DRIFTS]; 3] = [[0.0, -0.8, 0.3], [0.0, -0.6, 1.3], [0.0, -0.9, -0.4]];
 /// The polynomial's prior σ is this many times smaller until the sphere has found its light: else the
 /// polynomial takes the light and the sphere stays dark.
 const POLYNOMIAL_HELD: f64 = 4.0;
@@ -81,14 +86,18 @@ impl Shared {
             *weight = DRIFT_SIGMA[usize::from(lens_known)].powi(-2);
         }
         let prior = values;
-        // Lit from above and a little from the camera's side, as by day and under lamps.
-        values[3 + 6] = -0.8;
-        values[3 + 7] = 0.3;
         Self {
             values,
             prior,
             weights,
         }
+        .lit_from(LIGHT_STARTS[0])
+    }
+
+    fn lit_from(mut self, light: [f64; DRIFTS]) -> Self {
+        let sphere = self.values.iter_mut().skip(3 + DRIFTING);
+        sphere.zip(light).for_each(|(value, light)| *value = light);
+        self
     }
 
     /// Takes a radius and its growth that follow from the ball's distance.
@@ -135,7 +144,7 @@ impl Shared {
         over
     }
 
-    fn fill(&self, (place, turn): (f64, &Matrix3<f64>), own: &Vector3<f64>) -> Parameters {
+    fn fill(&self, (place, turn, share): (f64, &Matrix3<f64>, f64), own: &Vector3<f64>) -> Parameters {
         let mut parameters = Parameters::zeros();
         parameters.fixed_rows_mut::<OWN>(0).copy_from(own);
         parameters[RADIUS] = self.radius_px(place);
@@ -147,8 +156,13 @@ impl Shared {
             self.values.fixed_rows::<DRIFTS>(3 + DRIFTING) + self.values.fixed_rows::<DRIFTS>(DRIFT) * place;
         parameters
             .fixed_rows_mut::<DRIFTS>(LIGHT + DRIFTING)
-            .copy_from(&(turn * light));
+            .copy_from(&(turn * light * share));
         parameters
+    }
+
+    fn prior_cost(&self) -> f64 {
+        let off = self.values - self.prior;
+        0.5 * off.component_mul(&off).dot(&self.weights)
     }
 
     fn clamp(&mut self) {
@@ -166,6 +180,8 @@ pub struct Picture {
     place: f64,
     /// The light, from the camera's axes to the line of sight's.
     turn: Matrix3<f64>,
+    /// Share of the sphere's light: none in the shade.
+    share: f64,
     start_px: Vector2<f64>,
     reach_px: f64,
     model_variance: f64,
@@ -228,6 +244,7 @@ impl Picture {
             sweep: Sweep::new(start.streak_px, edge.sigma_px, &start.view.shape),
             place: start.place,
             turn: start.view.turn,
+            share: 1.0,
             start_px: start.centre_px,
             reach_px: start.reach_px(),
             model_variance: (MODEL_ERROR_SHARE * contrast).powi(2),
@@ -236,6 +253,11 @@ impl Picture {
             chi2: 1.0,
             say: 1.0,
         })
+    }
+
+    /// How unlike the ball it is: mean squared residual over its expectation.
+    pub fn unlike(&self) -> f64 {
+        self.chi2
     }
 
     /// For an edge of another blur.
@@ -257,7 +279,7 @@ impl Picture {
 
     /// Sums over the pixels: for all parameters, or for the own ones alone at half the cost.
     fn sums(&self, own: &Vector3<f64>, (shared, edge): (&Shared, &Edge), all: bool) -> Sums {
-        let parameters = shared.fill((self.place, &self.turn), own);
+        let parameters = shared.fill((self.place, &self.turn, self.share), own);
         let noise = (self.model_variance, HUBER_SIGMAS);
         let look = Look::new(&parameters, (&self.sweep, edge), noise);
         if all {
@@ -317,10 +339,10 @@ impl Picture {
         let mut sphere = chain.fixed_rows_mut::<DRIFTS>(LIGHT - OWN + DRIFTING);
         sphere
             .fixed_columns_mut::<DRIFTS>(3 + DRIFTING)
-            .copy_from(&self.turn);
+            .copy_from(&(self.turn * self.share));
         sphere
             .fixed_columns_mut::<DRIFTS>(DRIFT)
-            .copy_from(&(self.turn * self.place));
+            .copy_from(&(self.turn * self.share * self.place));
         chain
     }
 }
@@ -350,7 +372,7 @@ fn pool(pictures: &mut [Picture], looks: &[Option<Sums>], shared: &Shared) -> Po
     let mut pooled = Pooled {
         information: SharedMatrix::from_diagonal(&shared.weights),
         gradient: -off.component_mul(&shared.weights),
-        cost: 0.5 * off.component_mul(&off).dot(&shared.weights),
+        cost: shared.prior_cost(),
     };
     for (picture, look) in pictures.iter_mut().zip(looks) {
         picture.follow = SMatrix::zeros();
@@ -433,6 +455,22 @@ pub fn fit_shared(
     Some((state.information.cholesky()?.inverse(), state.cost))
 }
 
+/// [`fit_shared`] of a ball of which nothing is known yet, from several lights: the best shared parameters.
+pub fn first_fit(pictures: &mut [Picture], first: &Shared, edge: &Edge, steps_max: usize) -> Option<Shared> {
+    let mut best: Option<(f64, Shared, Vec<Picture>)> = None;
+    for light in LIGHT_STARTS {
+        let (mut tried, mut shared) = (pictures.to_vec(), first.lit_from(light));
+        let cost =
+            fit_shared(&mut tried, &mut shared, edge, steps_max).map(|_| misfit(&tried, &shared, edge));
+        if let Some(cost) = cost.filter(|cost| best.as_ref().is_none_or(|best| *cost < best.0)) {
+            best = Some((cost, shared, tried));
+        }
+    }
+    let (_, shared, tried) = best?;
+    pictures.clone_from_slice(&tried);
+    Some(shared)
+}
+
 /// The centre of one picture under the shared parameters found; `None` where it is not a ball.
 pub fn fit_centre(
     picture: &mut Picture,
@@ -455,5 +493,6 @@ pub fn fit_centre(
 }
 
 mod hidden;
+mod shade;
 #[cfg(test)]
 mod tests;

@@ -5,7 +5,7 @@ use nalgebra::{Matrix2, Vector2};
 use super::blur::{BlurChoice, BlurCosts, EDGE_SIGMAS_PX, choose_edge};
 use super::config::DetectorConfig;
 use super::disc::Edge;
-use super::fit::{FittedCentre, Picture, PictureStart, Shared, SharedMatrix, fit_shared};
+use super::fit::{FittedCentre, Picture, PictureStart, Shared, SharedMatrix, fit_shared, fit_shares};
 use super::patches::PatchPool;
 use super::path::between;
 use super::regain::FittedBall;
@@ -28,7 +28,7 @@ const NEIGHBOURS: usize = 4;
 /// Exposure where none is known, seconds, and how well.
 const EXPOSURE_GUESS_S: (f64, f64) = (0.001, 1.0);
 /// σ of the streak's scale where the exposure is known.
-const STREAK_SCALE_SIGMA: f64 = 0.03;
+const STREAK_SCALE_SIGMA: f64 = 0.015;
 /// The first look sees the lit part: the ball is larger by about this.
 const RADIUS_OVER_FIRST_LOOK: f64 = 1.3;
 /// What is left of light and blur in a centre, the same way for a whole track, pixels.
@@ -138,6 +138,7 @@ impl Refiner {
             shared,
             covariance,
             span,
+            shares: pictures.iter().map(Picture::share).collect(),
             centres: Vec::new(),
         };
         let mut centres: Vec<Option<FittedCentre>> = vec![None; track.points.len()];
@@ -263,7 +264,10 @@ impl Refiner {
                 }
             }
         }
-        let (covariance, _) = fit_shared(&mut pictures, &mut shared, &edge, STEPS)?;
+        let (mut covariance, _) = fit_shared(&mut pictures, &mut shared, &edge, STEPS)?;
+        if let Some(shaded) = fit_shares(&pictures, &shared, &edge, STEPS) {
+            (pictures, shared, covariance) = shaded;
+        }
         Some(Fit {
             starts,
             indices,

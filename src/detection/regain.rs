@@ -38,6 +38,8 @@ pub struct FittedBall {
     pub(super) covariance: SharedMatrix,
     /// First and last stamp of the track.
     pub(super) span: (StampedMidpoint, StampedMidpoint),
+    /// Share of the sphere's light at places in the track, by rising place.
+    pub(super) shares: Vec<(f64, f64)>,
     /// In no order.
     pub(super) centres: Vec<(StampedMidpoint, FittedCentre)>,
 }
@@ -55,9 +57,16 @@ impl FittedBall {
         start: &PictureStart,
         place: &Place,
     ) -> Option<FittedCentre> {
-        let picture = Picture::new(patch, start, &self.edge)?;
+        let picture = Picture::new(patch, start, &self.edge)?.lit(self.share(start.place));
         let mut shown = picture.shown(place.centre_px, place.level, (&self.shared, &self.edge))?;
         self.centre(&mut shown)
+    }
+
+    /// The share of the sphere's light at a place in the track: that of the nearest picture.
+    fn share(&self, place: f64) -> f64 {
+        let shares = self.shares.iter();
+        let nearest = shares.min_by(|a, b| (a.0 - place).abs().total_cmp(&(b.0 - place).abs()));
+        nearest.map_or(1.0, |(_, share)| *share)
     }
 
     /// Adds the ball to its track in frames that the track lacks, in gaps and beyond both ends as far as it is found; gives

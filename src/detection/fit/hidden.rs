@@ -28,7 +28,7 @@ impl Picture {
         (shared, edge): (&Shared, &Edge),
     ) -> Option<Self> {
         let own = Vector3::new(centre_px.x, centre_px.y, level);
-        let parameters = shared.fill((self.place, &self.turn), &own);
+        let parameters = shared.fill((self.place, &self.turn, self.share), &own);
         let noise = (self.model_variance, HUBER_SIGMAS);
         let look = Look::new(&parameters, (&self.sweep, edge), noise);
         let mut modelled = self.pixels.modelled(&look);

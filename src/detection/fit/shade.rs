@@ -1,0 +1,205 @@
+//! The share of the sphere's light in each picture of a track: where the ball flies into the shade the sun is gone and the light
+//! of the sky is left, so that it is not only darker there but lit otherwise. With the sun's light kept its centre was drawn by
+//! 0.3 to 0.5 px, the same way for the rest of the flight.
+
+use super::{DRIFT, DRIFTING, Edge, OWN_STEPS_POOLED, Picture, Shared, SharedMatrix, first_fit, fit_shared};
+
+/// Shares that are tried, relative to what the shared light has.
+const SHARES: [f64; 9] = [0.0, 0.25, 0.5, 0.75, 1.0, 1.35, 1.8, 2.5, 4.0];
+/// Of them those that tell whether the others need be tried.
+const TOLD_BY: [f64; 2] = [0.0, 2.5];
+/// What all pictures gain by shares of their own is more than this, in cost (half of χ²).
+const GAIN_MIN: f64 = 20.0;
+/// One picture says no more than this.
+const SAY_MAX: f64 = 20.0;
+/// From one share to the next from picture to picture costs so much: the light does not change at random.
+const STEP_COST: f64 = 1.5;
+/// A picture with less than this share is in the shade.
+const SHADED_MAX: f64 = 0.5;
+/// Holds a term of the light at nothing.
+const STEADY_WEIGHT: f64 = 1e6;
+/// Times that the shares are told from the ball, and the ball from the shares.
+const PASSES_MAX: usize = 3;
+/// So many pictures at least have the share that becomes one.
+const FULL_MIN: usize = 4;
+
+impl Picture {
+    /// The same with this share of the sphere's light.
+    pub fn lit(mut self, share: f64) -> Self {
+        self.share = share;
+        self
+    }
+
+    /// Place in the track, and its share of the sphere's light.
+    pub fn share(&self) -> (f64, f64) {
+        (self.place, self.share)
+    }
+
+    /// Robust cost at the centre and the level that suit this share best.
+    fn cost_at(&self, share: f64, shared: &Shared, edge: &Edge) -> f64 {
+        let mut picture = self.clone().lit(share);
+        let sums = picture.solve_own(shared, edge, OWN_STEPS_POOLED);
+        sums.map_or(f64::INFINITY, |sums| sums.cost)
+    }
+}
+
+/// Robust cost of all pictures, each with the share that it has, and of the shared parameters' prior.
+pub fn misfit(pictures: &[Picture], shared: &Shared, edge: &Edge) -> f64 {
+    let costs = pictures.iter().map(|p| p.cost_at(p.share, shared, edge));
+    shared.prior_cost() + costs.filter(|cost| cost.is_finite()).sum::<f64>()
+}
+
+/// A track's fit with the share of the sphere's light that each picture has, where shares explain it better than one light does;
+/// the pictures stand in the order of their places.
+pub fn fit_shares(
+    pictures: &[Picture],
+    shared: &Shared,
+    edge: &Edge,
+    steps_max: usize,
+) -> Option<(Vec<Picture>, Shared, SharedMatrix)> {
+    if !may_be_shaded(pictures, shared, edge) {
+        return None;
+    }
+    // A light that drifts would be taken for shade, and a polynomial for the sun.
+    let mut tried = pictures.to_vec();
+    let mut trial = first_fit(&mut tried, &shared.steady(), edge, steps_max)?;
+    let mut passes = 0;
+    while passes < PASSES_MAX && find_shares(&mut tried, &mut trial, edge) {
+        fit_shared(&mut tried, &mut trial, edge, steps_max)?;
+        passes += 1;
+    }
+    if passes == 0 {
+        return None;
+    }
+    trial.weights = shared.weights;
+    // What is left of the light in the shade and a polynomial against it are nearly the same: most likely nothing is.
+    let full_shade = tried
+        .iter()
+        .map(|p| p.clone().lit(if p.share < SHADED_MAX { 0.0 } else { p.share }));
+    let mut best = (misfit(pictures, shared, edge) - GAIN_MIN, None);
+    for mut tried in [full_shade.collect(), tried] {
+        let mut trial = trial;
+        let (covariance, _) = fit_shared(&mut tried, &mut trial, edge, steps_max)?;
+        let cost = misfit(&tried, &trial, edge);
+        if cost < best.0 {
+            best = (cost, Some((tried, trial, covariance)));
+        }
+    }
+    best.1
+}
+
+/// Whether some pictures one after the other are told better by another share.
+fn may_be_shaded(pictures: &[Picture], shared: &Shared, edge: &Edge) -> bool {
+    let gains = pictures.iter().map(|picture| {
+        let now = picture.cost_at(picture.share, shared, edge);
+        let costs = TOLD_BY.iter().map(|share| picture.cost_at(*share, shared, edge));
+        (now - costs.fold(now, f64::min)).min(SAY_MAX)
+    });
+    best_run(gains) > GAIN_MIN
+}
+
+/// Finds the shares of the pictures; whether they explain them better than those they have. The fullest becomes one, and the
+/// shared light what it then is.
+fn find_shares(pictures: &mut [Picture], shared: &mut Shared, edge: &Edge) -> bool {
+    let now: Vec<f64> = pictures
+        .iter()
+        .map(|p| p.cost_at(p.share, shared, edge))
+        .collect();
+    let costs: Vec<[f64; SHARES.len()]> = pictures
+        .iter()
+        .map(|picture| SHARES.map(|share| picture.cost_at(share, shared, edge)))
+        .collect();
+    let (path, gain) = likeliest(&costs, &now);
+    if !(gain > GAIN_MIN) {
+        return false;
+    }
+    let full = (0..SHARES.len())
+        .rev()
+        .find(|state| path.iter().filter(|s| *s >= state).count() >= FULL_MIN);
+    let full = full
+        .and_then(|state| SHARES.get(state))
+        .copied()
+        .unwrap_or(1.0)
+        .max(0.25);
+    for (picture, state) in pictures.iter_mut().zip(path) {
+        picture.share = SHARES.get(state).copied().unwrap_or(1.0) / full;
+    }
+    shared.scale_light(full);
+    true
+}
+
+/// The largest sum of neighbouring values.
+fn best_run(values: impl Iterator<Item = f64>) -> f64 {
+    let (mut best, mut sum) = (0.0, 0.0);
+    for value in values.filter(|value| value.is_finite()) {
+        // What the other shares do not help speaks against them, a little.
+        sum = f64::max(sum + value - 0.5, 0.0);
+        best = f64::max(best, sum);
+    }
+    best
+}
+
+/// The likeliest shares from picture to picture (Viterbi), and what they gain over the costs now.
+fn likeliest(costs: &[[f64; SHARES.len()]], now: &[f64]) -> (Vec<usize>, f64) {
+    let emission = |costs: &[f64; SHARES.len()], now: f64| -> [f64; SHARES.len()] {
+        let least = costs.iter().copied().fold(now, f64::min);
+        costs.map(|cost| (cost - least).min(SAY_MAX))
+    };
+    let mut total = [0.0; SHARES.len()];
+    let mut back: Vec<[usize; SHARES.len()]> = Vec::with_capacity(costs.len());
+    let mut before = 0.0;
+    for (costs, now) in costs.iter().zip(now) {
+        let least = costs.iter().copied().fold(*now, f64::min);
+        if !least.is_finite() {
+            back.push(std::array::from_fn(|state| state));
+            continue;
+        }
+        before += (now - least).min(SAY_MAX);
+        let own = emission(costs, *now);
+        let mut next = [f64::INFINITY; SHARES.len()];
+        let mut from = [0; SHARES.len()];
+        for (state, (next, from)) in next.iter_mut().zip(&mut from).enumerate() {
+            for (other, total) in total.iter().enumerate() {
+                let cost = total + STEP_COST * state.abs_diff(other) as f64 + own[state];
+                if cost < *next {
+                    (*next, *from) = (cost, other);
+                }
+            }
+        }
+        total = next;
+        back.push(from);
+    }
+    let last = total.iter().enumerate().min_by(|a, b| a.1.total_cmp(b.1));
+    let (mut state, least) = last.map_or((4, 0.0), |(state, cost)| (state, *cost));
+    let mut path = Vec::with_capacity(back.len());
+    for from in back.iter().rev() {
+        path.push(state);
+        state = from[state];
+    }
+    path.reverse();
+    (path, before - least)
+}
+
+impl Shared {
+    /// With the light of the sphere alone, which does not drift.
+    fn steady(&self) -> Self {
+        let mut steady = *self;
+        let light = steady
+            .values
+            .iter_mut()
+            .zip(steady.weights.iter_mut())
+            .enumerate();
+        let held = |index: usize| (3..3 + DRIFTING).contains(&index) || index >= DRIFT;
+        for (_, (value, weight)) in light.filter(|(index, _)| held(*index)) {
+            (*value, *weight) = (0.0, STEADY_WEIGHT);
+        }
+        steady
+    }
+
+    /// The sphere's light so many times as strong.
+    fn scale_light(&mut self, by: f64) {
+        for value in self.values.iter_mut().skip(3 + DRIFTING) {
+            *value *= by;
+        }
+    }
+}
