@@ -400,6 +400,27 @@ fn a_truncated_session_gives_what_can_be_read_and_says_what_is_lost() {
 }
 
 #[test]
+fn without_a_calibration_tracks_are_kept_and_losses_told() {
+    let place = Place::with_session();
+    for part in 0..4 {
+        fs::remove_file(place.path(&format!("session/third.000{part}.mcap"))).unwrap();
+    }
+    cut(&place.path("session/first.0003.mcap"), 0.5);
+    assert_names(
+        &place.replay(),
+        &[
+            "first.0003.mcap",
+            "lost",
+            "camera first",
+            "a calibration needs two",
+        ],
+    );
+    let tracks = fs::read_to_string(place.path("result/tracks/first.csv")).unwrap();
+    assert!(tracks.lines().count() > 100, "{} rows", tracks.lines().count());
+    assert!(!place.path("result/pitches.jsonl").exists());
+}
+
+#[test]
 fn flipped_bytes_cost_their_frames_only() {
     let place = Place::with_session();
     let path = place.path("session/third.0001.mcap");

@@ -121,6 +121,10 @@ fn a_video_of_anything_neither_crashes_nor_floods() {
     let told = String::from_utf8_lossy(&replayed.stderr);
     assert_eq!(replayed.status.code(), Some(1), "{told}");
     assert!(told.lines().any(|line| line.starts_with("pitchd: ")), "{told}");
+    assert!(
+        told.contains("warning: camera phone: ") && told.contains("were not searched"),
+        "{told}"
+    );
     let written = fs::read_to_string(path.join("result/pitches.jsonl")).unwrap_or_default();
     assert_eq!(written, "");
 

@@ -27,6 +27,9 @@ With it the cameras tell each other where a ball will be while they are searched
 sees the ball finds more of it.
 A damaged session is replayed as far as it can be read; what is lost is named, and the exit code is 1.";
 
+/// Frames that were not searched are told of above this share of a camera's.
+const UNSEARCHED_SHARE_TOLD: f64 = 0.02;
+
 /// Arguments of `pitchd replay`.
 #[derive(Debug, Args)]
 #[command(after_help = AFTER_HELP)]
@@ -84,6 +87,7 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     warnings.extend(damage.iter().map(ToString::to_string));
     let lost = session.losses().iter();
     warnings.extend(lost.map(|loss| format!("lost in an earlier repair: {loss}")));
+    warnings.extend(watched.iter().filter_map(unsearched));
     let tracks: Vec<Track> = watched.iter().flat_map(|w| w.tracks.iter().cloned()).collect();
     let searches: Vec<_> = watched.iter().filter_map(|w| w.search.clone()).collect();
     results::write_search(&args.solving.out, &searches, &tracks)?;
@@ -147,6 +151,18 @@ fn sources(session: &SessionReader, rig: &Rig) -> anyhow::Result<Vec<Box<dyn Fra
         anyhow::bail!("{}: no camera in this session", session.folder().display());
     }
     Ok(sources)
+}
+
+/// A camera of which many frames were not searched.
+fn unsearched(watched: &Watched) -> Option<String> {
+    let (unsearched, frames) = (watched.search.as_ref()?.global_changes, watched.frames);
+    (unsearched as f64 > UNSEARCHED_SHARE_TOLD * frames as f64).then(|| {
+        format!(
+            "camera {}: {unsearched} of its {frames} frames were not searched: much of the picture changed at once, as when \
+             the camera moves",
+            watched.camera
+        )
+    })
 }
 
 fn facts(session: &Path, watched: &[Watched]) -> Vec<(String, String)> {

@@ -89,7 +89,16 @@ impl SolvingArgs {
             },
             calibration: self.calibration()?,
         };
-        let mut batch = solve_tracks(rig, tracks, &options)?;
+        let mut batch = match solve_tracks(rig, tracks, &options) {
+            Ok(batch) => batch,
+            Err(error) => {
+                // What was lost or left out is told all the same: it may be why.
+                for warning in &earlier_warnings {
+                    tell_line!("pitchd: warning: {warning}");
+                }
+                return Err(error.into());
+            }
+        };
         batch.warnings.splice(0..0, earlier_warnings);
         let all_warnings = [batch.warnings.as_slice(), &batch.left_out].concat();
         let plane = self.plane.into();
