@@ -199,20 +199,8 @@ fn a_maximum_of_the_file_s_own_counts_and_it_is_said() {
 
 #[test]
 fn a_video_becomes_a_camera() {
-    use opencv::core::{CV_8UC1, Mat, Scalar, Size};
-    use opencv::videoio::{VideoWriter, VideoWriterTrait, VideoWriterTraitConst};
     let place = Place::new();
-    let file = place.path("clip.avi");
-    let codec = VideoWriter::fourcc('M', 'J', 'P', 'G').unwrap();
-    let size = Size::new(WIDTH as i32, HEIGHT as i32);
-    let mut writer = VideoWriter::new(file.to_str().unwrap(), codec, 30.0, size, false).unwrap();
-    assert!(writer.is_opened().unwrap());
-    for frame in 0..4 {
-        let grey = Scalar::all(40.0 + 20.0 * f64::from(frame));
-        let image = Mat::new_rows_cols_with_default(HEIGHT as i32, WIDTH as i32, CV_8UC1, grey).unwrap();
-        writer.write(&image).unwrap();
-    }
-    writer.release().unwrap();
+    write_video(&place.path("clip.avi"), 4);
     let video = ["--camera", "first=clip.avi"];
     assert_fails(
         &place.import_with(&video),
@@ -244,6 +232,48 @@ fn a_video_becomes_a_camera() {
         .map(|(f, t, _)| (f, t))
         .collect();
     assert_eq!(kept, [(10, 5), (11, 6), (12, 7)]);
+}
+
+/// A video of so many frames at 30 Hz, each a little brighter than the one before.
+fn write_video(file: &Path, frames: i32) {
+    use opencv::core::{CV_8UC1, Mat, Scalar, Size};
+    use opencv::videoio::{VideoWriter, VideoWriterTrait, VideoWriterTraitConst};
+    let codec = VideoWriter::fourcc('M', 'J', 'P', 'G').unwrap();
+    let size = Size::new(WIDTH as i32, HEIGHT as i32);
+    let mut writer = VideoWriter::new(file.to_str().unwrap(), codec, 30.0, size, false).unwrap();
+    assert!(writer.is_opened().unwrap());
+    for frame in 0..frames {
+        let grey = Scalar::all(40.0 + 20.0 * f64::from(frame % 10));
+        let image = Mat::new_rows_cols_with_default(HEIGHT as i32, WIDTH as i32, CV_8UC1, grey).unwrap();
+        writer.write(&image).unwrap();
+    }
+    writer.release().unwrap();
+}
+
+#[test]
+fn a_video_that_is_cut_off_is_told_of() {
+    let place = Place::new();
+    let file = place.path("clip.avi");
+    write_video(&file, 60);
+    let whole = fs::read(&file).unwrap();
+    let arguments = ["--camera", "first=clip.avi", "--fps", "100", "--force"];
+    let output = place.import_with(&arguments);
+    assert_done(&output);
+    assert!(!String::from_utf8_lossy(&output.stderr).contains("clip.avi"));
+
+    fs::write(&file, &whole[..whole.len() * 3 / 5]).unwrap();
+    let output = place.import_with(&arguments);
+    assert_done(&output);
+    let read = frames(&place.session(), "first").len();
+    assert!((1..50).contains(&read), "{read} frames");
+    let told = String::from_utf8_lossy(&output.stderr);
+    let expected = format!(
+        "clip.avi: its header tells of 60 frames, {read} could be read: it is damaged, cut off or has gaps"
+    );
+    assert!(told.contains(&expected), "{told}");
+
+    fs::write(&file, b"").unwrap();
+    assert_fails(&place.import_with(&arguments), "camera first: clip.avi: is empty");
 }
 
 /// Runs `pitchd info` or `recover` on the session.

@@ -6,6 +6,7 @@
 pub mod aravis;
 mod error;
 mod image_folder;
+mod own_times;
 mod recording;
 mod stamps;
 mod video;
@@ -36,4 +37,8 @@ pub trait FrameSource: Iterator<Item = Result<Frame, CaptureError>> + Send {
     fn geometry(&self) -> FrameGeometry;
     /// How many frames there will be, where that is known.
     fn frames_expected(&self) -> Option<u64>;
+    /// What a person should know once the last frame has come, though it is no error.
+    fn remarks(&self) -> Vec<String> {
+        Vec::new()
+    }
 }

@@ -4,10 +4,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use super::image_folder::imported;
+use super::own_times::OwnTimes;
 use super::stamps::{FrameStamps, LIST_NAME, Stamping};
 use super::{CaptureError, FrameGeometry, FrameSource};
 use crate::scene::{CameraId, Frame};
 use crate::vision::image_files::{VideoReader, is_image_name};
+
+/// A header may be off by this share of its frames: many containers know the length in seconds only.
+const HEADER_OFF_SHARE: f64 = 0.02;
 
 /// Frames of one video file, counted from 0. Its stamps: `<name>.timestamps.csv` beside it, else
 /// `timestamps.csv` beside it (row by row, whatever number its first frame has), else the given rate. The rate
@@ -20,6 +24,8 @@ pub struct VideoFile {
     stamps: FrameStamps,
     listed: Vec<u64>,
     next: u64,
+    own_times: OwnTimes,
+    ended: bool,
     broken: bool,
 }
 
@@ -76,8 +82,17 @@ impl VideoFile {
             stamps,
             listed,
             next: 0,
+            own_times: OwnTimes::default(),
+            ended: false,
             broken: false,
         })
+    }
+
+    /// The frames that the header tells of, where the file ended clearly before.
+    fn frames_missing(&self) -> Option<u64> {
+        let told = self.reader.frames_expected()?;
+        let missing = told.saturating_sub(self.reader.frames_read());
+        (self.ended && missing as f64 > 1.0 + HEADER_OFF_SHARE * told as f64).then_some(told)
     }
 
     fn stamp(&self, index: u64) -> Result<crate::scene::FrameStamp, CaptureError> {
@@ -110,7 +125,10 @@ impl Iterator for VideoFile {
         }
         let image = match self.reader.next_mono8() {
             Ok(Some(image)) => image,
-            Ok(None) => return None,
+            Ok(None) => {
+                self.ended = true;
+                return None;
+            }
             Err(source) => {
                 self.broken = true;
                 return Some(Err(CaptureError::Image {
@@ -119,6 +137,9 @@ impl Iterator for VideoFile {
                 }));
             }
         };
+        if let Some(time_s) = self.reader.own_time_s() {
+            self.own_times.push(time_s);
+        }
         let index = self.next;
         self.next += 1;
         Some(self.stamp(index).map(|stamp| Frame {
@@ -139,5 +160,28 @@ impl FrameSource for VideoFile {
     }
     fn frames_expected(&self) -> Option<u64> {
         self.reader.frames_expected()
+    }
+    fn remarks(&self) -> Vec<String> {
+        let place = format!("camera {}: {}", self.camera, self.file.display());
+        let cut_off = self.frames_missing().map(|told| {
+            format!(
+                "{place}: its header tells of {told} frames, {} could be read: it is damaged, cut off or has gaps",
+                self.reader.frames_read()
+            )
+        });
+        let by_rate = matches!(self.stamps, FrameStamps::RateHz(_));
+        let uneven = self.own_times.uneven().filter(|_| by_rate).map(|late| {
+            format!(
+                "{place}: by its own times {} of {} frames come late, frame {} first ({:.0} ms after the one before, {:.0} ms \
+                 are usual); --fps takes them for even, {} would be believed",
+                late.count,
+                self.reader.frames_read(),
+                late.first,
+                1e3 * late.step_s,
+                1e3 * late.usual_s,
+                self.file.with_extension("timestamps.csv").display()
+            )
+        });
+        cut_off.into_iter().chain(uneven).collect()
     }
 }

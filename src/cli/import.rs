@@ -226,14 +226,17 @@ fn pump_all(imports: Vec<Import>) -> Vec<(Imported, anyhow::Result<()>)> {
 }
 
 fn pump(import: Import, bar: &ProgressBar) -> (Imported, anyhow::Result<()>) {
-    let Import { source, mut writer } = import;
+    let Import {
+        mut source,
+        mut writer,
+    } = import;
     let mut imported = Imported {
         camera: source.camera().clone(),
         frames: 0,
         bytes: 0,
     };
-    let copy = || -> anyhow::Result<()> {
-        for frame in source {
+    let mut copy = || -> anyhow::Result<()> {
+        for frame in source.by_ref() {
             let recorded = RecordedFrame::from(frame?);
             writer.write(&recorded)?;
             imported.frames += 1;
@@ -243,6 +246,9 @@ fn pump(import: Import, bar: &ProgressBar) -> (Imported, anyhow::Result<()>) {
         Ok(())
     };
     let copied = copy();
+    for remark in source.remarks() {
+        bar.suspend(|| tell_line!("pitchd: warning: {remark}"));
+    }
     let finished = writer.finish();
     (imported, copied.and(finished.map_err(Into::into)))
 }

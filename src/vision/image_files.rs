@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use opencv::core::{CV_8U, CV_16U, Mat, MatTraitConst, MatTraitConstManual};
 use opencv::core::{LogLevel, set_log_level};
 use opencv::videoio::{
-    CAP_ANY, CAP_FFMPEG, CAP_PROP_FRAME_COUNT, CAP_PROP_FRAME_HEIGHT, CAP_PROP_FRAME_WIDTH,
+    CAP_ANY, CAP_FFMPEG, CAP_PROP_FRAME_COUNT, CAP_PROP_FRAME_HEIGHT, CAP_PROP_FRAME_WIDTH, CAP_PROP_POS_MSEC,
 };
 use opencv::videoio::{VideoCapture, VideoCaptureTrait, VideoCaptureTraitConst};
 use opencv::{imgcodecs, imgproc};
@@ -249,7 +249,10 @@ impl VideoReader {
             file: file.to_owned(),
             reason: reason.to_owned(),
         };
-        std::fs::File::open(file).map_err(|e| wrong(&e.to_string()))?;
+        let opened = std::fs::File::open(file).map_err(|e| wrong(&e.to_string()))?;
+        if opened.metadata().is_ok_and(|data| data.len() == 0) {
+            return Err(wrong("is empty"));
+        }
         let path = file.to_str().ok_or_else(|| wrong("its name is not UTF-8"))?;
         // What is wrong is told by our own error; OpenCV's words would go to stderr beside it.
         set_log_level(LogLevel::LOG_LEVEL_SILENT).map_err(|e| wrong(&e.message))?;
@@ -280,6 +283,17 @@ impl VideoReader {
     /// Frames by the container's header, which may be an estimate.
     pub fn frames_expected(&self) -> Option<u64> {
         self.frames_expected
+    }
+
+    /// Frames read so far.
+    pub fn frames_read(&self) -> u64 {
+        self.frames_read
+    }
+
+    /// When the frame last read is to be shown, by the container, seconds; `None` where it does not say.
+    pub fn own_time_s(&self) -> Option<f64> {
+        let shown_ms = self.capture.get(CAP_PROP_POS_MSEC).ok();
+        shown_ms.filter(|ms| ms.is_finite()).map(|ms| ms / 1e3)
     }
 
     /// The next frame as luma; `None` at the end.
