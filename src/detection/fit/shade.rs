@@ -16,6 +16,8 @@ const SAY_MAX: f64 = 20.0;
 const STEP_COST: f64 = 1.5;
 /// A picture with less than this share is in the shade.
 const SHADED_MAX: f64 = 0.5;
+/// A share explains a picture whose cost is then no more than so many times what is usual.
+const EXPLAINED_MAX: f64 = 1.6;
 /// Holds a term of the light at nothing.
 const STEADY_WEIGHT: f64 = 1e6;
 /// Times that the shares are told from the ball, and the ball from the shares.
@@ -90,24 +92,47 @@ pub fn fit_shares(
 
 /// Whether some pictures one after the other are told better by another share.
 fn may_be_shaded(pictures: &[Picture], shared: &Shared, edge: &Edge) -> bool {
-    let gains = pictures.iter().map(|picture| {
-        let now = picture.cost_at(picture.share, shared, edge);
+    let now = costs_now(pictures, shared, edge);
+    let explained = EXPLAINED_MAX * usual(&now);
+    let gains = pictures.iter().zip(&now).map(|(picture, now)| {
         let costs = TOLD_BY.iter().map(|share| picture.cost_at(*share, shared, edge));
-        (now - costs.fold(now, f64::min)).min(SAY_MAX)
+        let least = costs.fold(*now, f64::min);
+        if least < explained {
+            (now - least).min(SAY_MAX)
+        } else {
+            0.0
+        }
     });
     best_run(gains) > GAIN_MIN
+}
+
+/// Cost of each picture with the share that it has.
+fn costs_now(pictures: &[Picture], shared: &Shared, edge: &Edge) -> Vec<f64> {
+    let costs = pictures.iter().map(|p| p.cost_at(p.share, shared, edge));
+    costs.collect()
+}
+
+/// The cost that half of the pictures do not exceed.
+fn usual(costs: &[f64]) -> f64 {
+    let mut sorted = costs.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::INFINITY)
 }
 
 /// Finds the shares of the pictures; whether they explain them better than those they have. The fullest becomes one, and the
 /// shared light what it then is.
 fn find_shares(pictures: &mut [Picture], shared: &mut Shared, edge: &Edge) -> bool {
-    let now: Vec<f64> = pictures
-        .iter()
-        .map(|p| p.cost_at(p.share, shared, edge))
-        .collect();
+    let now = costs_now(pictures, shared, edge);
+    let explained = EXPLAINED_MAX * usual(&now);
     let costs: Vec<[f64; SHARES.len()]> = pictures
         .iter()
-        .map(|picture| SHARES.map(|share| picture.cost_at(share, shared, edge)))
+        .zip(&now)
+        .map(|(picture, now)| {
+            let costs = SHARES.map(|share| picture.cost_at(share, shared, edge));
+            // What no share explains (a wire before the ball) says nothing of the light.
+            let says = costs.iter().any(|cost| *cost < explained);
+            if says { costs } else { [*now; SHARES.len()] }
+        })
         .collect();
     let (path, gain) = likeliest(&costs, &now);
     if !(gain > GAIN_MIN) {
