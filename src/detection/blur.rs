@@ -11,6 +11,8 @@ const BLUR_POINTS_MIN: usize = 45;
 const BLUR_RATIO_MAX: f64 = 4.0;
 /// Blurs on each side of the best that are compared with it.
 const BESIDE: usize = 2;
+/// When a blur's cost is so many times the least, larger blurs are not tried.
+const WORSE_RATIO: f64 = 2.0;
 /// A picture this many times as unlike the ball as most has no say.
 const UNLIKE_MAX: f64 = 2.5;
 /// Tracks on which all blurs are tried.
@@ -127,8 +129,14 @@ fn compare(pictures: &mut [Picture], first: &Shared, only: Option<usize>) -> Fou
     let mut found = Found::default();
     // From blur to blur the ball changes little: each begins where the last has ended.
     let (mut held, mut begun, mut released) = (*first, false, None::<Shared>);
+    let (mut low, mut worse) = (f64::INFINITY, None);
     for (index, (sigma_px, slot)) in EDGE_SIGMAS_PX.iter().zip(&mut found).enumerate() {
         if only.is_some_and(|only| index != only) {
+            continue;
+        }
+        if let Some(worse) = worse {
+            // From here on it only gets worse.
+            *slot = Some((worse, held));
             continue;
         }
         let edge = Edge::new(*sigma_px);
@@ -154,7 +162,10 @@ fn compare(pictures: &mut [Picture], first: &Shared, only: Option<usize>) -> Fou
         let compared = fit_shared(pictures, &mut shared, &edge, STEPS);
         released = Some(shared);
         if compared.is_some() {
-            *slot = Some((misfit(pictures, &shared, &edge), held));
+            let cost = misfit(pictures, &shared, &edge);
+            *slot = Some((cost, held));
+            low = low.min(cost);
+            worse = (cost > WORSE_RATIO * low).then_some(cost);
         }
     }
     found

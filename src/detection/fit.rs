@@ -289,10 +289,9 @@ impl Picture {
         }
     }
 
-    /// Finds centre and level for given shared parameters; gives the final linearisation.
-    fn solve_own(&mut self, shared: &Shared, edge: &Edge, steps_max: usize) -> Option<Sums> {
-        let mut state = self.sums(&self.own, (shared, edge), true);
-        let mut moved = false;
+    /// Finds centre and level for given shared parameters; gives the final sums over them alone.
+    fn settle(&mut self, shared: &Shared, edge: &Edge, steps_max: usize) -> Option<Sums> {
+        let mut state = self.sums(&self.own, (shared, edge), false);
         let mut damping = 1e-3;
         for _ in 0..steps_max {
             let mut block: Matrix3<f64> = state.information.fixed_view::<OWN, OWN>(0, 0).into_owned();
@@ -310,7 +309,6 @@ impl Picture {
             if next.cost <= state.cost {
                 self.own = trial;
                 state = next;
-                moved = true;
                 damping = (damping * 0.2).max(1e-9);
             } else {
                 damping *= 8.0;
@@ -319,12 +317,16 @@ impl Picture {
                 }
             }
         }
-        if moved {
-            state = self.sums(&self.own, (shared, edge), true);
-        }
-        self.chi2 = state.squares / (state.used - 3.0).max(1.0);
         let away = (self.own.xy() - self.start_px).norm();
         (away.is_finite() && away < self.reach_px && self.own[LEVEL] > 0.0).then_some(state)
+    }
+
+    /// Finds centre and level for given shared parameters; gives the final linearisation.
+    fn solve_own(&mut self, shared: &Shared, edge: &Edge, steps_max: usize) -> Option<Sums> {
+        let settled = self.settle(shared, edge, steps_max);
+        let state = self.sums(&self.own, (shared, edge), true);
+        self.chi2 = state.squares / (state.used - 3.0).max(1.0);
+        settled.map(|_| state)
     }
 
     /// ∂(frame's shared parameters)/∂(track's shared parameters): radius by radius and growth.

@@ -8,6 +8,8 @@ use super::{DRIFT, DRIFTING, Edge, OWN_STEPS_POOLED, Picture, Shared, SharedMatr
 const SHARES: [f64; 9] = [0.0, 0.25, 0.5, 0.75, 1.0, 1.35, 1.8, 2.5, 4.0];
 /// Of them those that tell whether the others need be tried.
 const TOLD_BY: [f64; 2] = [0.0, 2.5];
+/// ... by one picture in so many.
+const TOLD_STEP: usize = 3;
 /// What all pictures gain by shares of their own is more than this, in cost (half of χ²).
 const GAIN_MIN: f64 = 20.0;
 /// One picture says no more than this.
@@ -16,8 +18,8 @@ const SAY_MAX: f64 = 20.0;
 const STEP_COST: f64 = 1.5;
 /// A picture with less than this share is in the shade.
 const SHADED_MAX: f64 = 0.5;
-/// A share explains a picture whose cost is then no more than so many times what is usual.
-const EXPLAINED_MAX: f64 = 1.6;
+/// A picture whose cost is still so many times the usual is not told by its share: something hides the ball.
+const UNTOLD_COST: f64 = 5.0;
 /// Holds a term of the light at nothing.
 const STEADY_WEIGHT: f64 = 1e6;
 /// Times that the shares are told from the ball, and the ball from the shares.
@@ -40,7 +42,7 @@ impl Picture {
     /// Robust cost at the centre and the level that suit this share best.
     fn cost_at(&self, share: f64, shared: &Shared, edge: &Edge) -> f64 {
         let mut picture = self.clone().lit(share);
-        let sums = picture.solve_own(shared, edge, OWN_STEPS_POOLED);
+        let sums = picture.settle(shared, edge, OWN_STEPS_POOLED);
         sums.map_or(f64::INFINITY, |sums| sums.cost)
     }
 }
@@ -87,23 +89,31 @@ pub fn fit_shares(
             best = (cost, Some((tried, trial, covariance)));
         }
     }
-    best.1
+    let (mut tried, mut trial, covariance) = best.1?;
+    if !light_hidden(&mut tried, &trial, edge) {
+        return Some((tried, trial, covariance));
+    }
+    let (covariance, _) = fit_shared(&mut tried, &mut trial, edge, steps_max)?;
+    Some((tried, trial, covariance))
 }
 
-/// Whether some pictures one after the other are told better by another share.
+/// Gives pictures that their share does not tell the full light again; whether there are any.
+fn light_hidden(pictures: &mut [Picture], shared: &Shared, edge: &Edge) -> bool {
+    let costs = costs_now(pictures, shared, edge);
+    let untold = UNTOLD_COST * usual(&costs);
+    let hidden = pictures.iter_mut().zip(&costs);
+    let hidden = hidden.filter(|(picture, cost)| picture.share != 1.0 && **cost > untold);
+    hidden.map(|(picture, _)| picture.share = 1.0).count() > 0
+}
+
+/// Whether some pictures one after the other are told better by another share: of one in so many.
 fn may_be_shaded(pictures: &[Picture], shared: &Shared, edge: &Edge) -> bool {
-    let now = costs_now(pictures, shared, edge);
-    let explained = EXPLAINED_MAX * usual(&now);
-    let gains = pictures.iter().zip(&now).map(|(picture, now)| {
+    let gains = pictures.iter().step_by(TOLD_STEP).map(|picture| {
+        let now = picture.cost_at(picture.share, shared, edge);
         let costs = TOLD_BY.iter().map(|share| picture.cost_at(*share, shared, edge));
-        let least = costs.fold(*now, f64::min);
-        if least < explained {
-            (now - least).min(SAY_MAX)
-        } else {
-            0.0
-        }
+        (now - costs.fold(now, f64::min)).min(SAY_MAX)
     });
-    best_run(gains) > GAIN_MIN
+    best_run(gains) * TOLD_STEP as f64 > GAIN_MIN
 }
 
 /// Cost of each picture with the share that it has.
@@ -123,16 +133,9 @@ fn usual(costs: &[f64]) -> f64 {
 /// shared light what it then is.
 fn find_shares(pictures: &mut [Picture], shared: &mut Shared, edge: &Edge) -> bool {
     let now = costs_now(pictures, shared, edge);
-    let explained = EXPLAINED_MAX * usual(&now);
     let costs: Vec<[f64; SHARES.len()]> = pictures
         .iter()
-        .zip(&now)
-        .map(|(picture, now)| {
-            let costs = SHARES.map(|share| picture.cost_at(share, shared, edge));
-            // What no share explains (a wire before the ball) says nothing of the light.
-            let says = costs.iter().any(|cost| *cost < explained);
-            if says { costs } else { [*now; SHARES.len()] }
-        })
+        .map(|picture| SHARES.map(|share| picture.cost_at(share, shared, edge)))
         .collect();
     let (path, gain) = likeliest(&costs, &now);
     if !(gain > GAIN_MIN) {
