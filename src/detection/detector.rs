@@ -157,15 +157,38 @@ impl Detector {
     pub fn detect(&mut self, frame: &Frame, answers: &mut dyn Answers) -> Result<(), DetectionError> {
         check_size(frame, (self.width_px, self.height_px))?;
         self.begin(frame.stamp, answers);
+        if self.evens() {
+            self.take_evened(frame.clone(), answers);
+            return Ok(());
+        }
         let mut changed = self.history.spare_map(self.width_px, self.height_px);
         let previous = self.history.newest();
         let compared = previous.is_some();
         if let Some(previous) = previous {
-            let pixels = (frame.bytes(), previous.frame.bytes());
+            let pixels = (frame.bytes(), previous.searched().bytes());
             self.scan.bands(0, self.counters.frames, pixels, &mut changed);
         }
-        self.take(frame.clone(), compared.then_some(changed), answers);
+        self.take((frame.clone(), None), compared.then_some(changed), answers);
         Ok(())
+    }
+
+    /// Whether the next frame is to be evened first: lamps flicker.
+    pub(super) fn evens(&mut self) -> bool {
+        self.scan.light.evens()
+    }
+
+    /// Scans and takes a frame as under even light.
+    pub(super) fn take_evened(&mut self, frame: Frame, answers: &mut dyn Answers) {
+        let mut changed = self.history.spare_map(self.width_px, self.height_px);
+        let previous = self.history.newest();
+        let compared = previous.is_some();
+        let even = self.scan.light.even(&frame, previous.map(|seen| &seen.frame));
+        if let Some(previous) = previous {
+            let searched = even.as_ref().unwrap_or(&frame);
+            let pixels = (searched.bytes(), previous.searched().bytes());
+            self.scan.bands(0, self.counters.frames, pixels, &mut changed);
+        }
+        self.take((frame, even), compared.then_some(changed), answers);
     }
 
     /// Ends the window where this stamp does not follow the last one.
@@ -183,7 +206,12 @@ impl Detector {
     }
 
     /// Takes a frame that has been scanned, and decides what can be decided.
-    pub(super) fn take(&mut self, frame: Frame, changed: Option<TileMap>, answers: &mut dyn Answers) {
+    pub(super) fn take(
+        &mut self,
+        frame: (Frame, Option<Frame>),
+        changed: Option<TileMap>,
+        answers: &mut dyn Answers,
+    ) {
         self.history.push(frame, changed);
         self.look_ahead();
         let newest = self.history.count() - 1;
@@ -303,9 +331,19 @@ impl Detector {
             kernels: self.kernels,
             width_px: self.width_px,
             height_px: self.height_px,
+            current: triple.current.searched().bytes(),
+            one: triple.one.searched().bytes(),
+            other: triple.other.searched().bytes(),
+        }
+    }
+
+    /// The same as they came.
+    fn images_as_seen<'a>(&self, triple: &Triple<'a>) -> Images<'a> {
+        Images {
             current: triple.current.frame.bytes(),
-            one: triple.one.bytes(),
-            other: triple.other.bytes(),
+            one: triple.one.frame.bytes(),
+            other: triple.other.frame.bytes(),
+            ..self.images(triple)
         }
     }
 
@@ -322,6 +360,7 @@ impl Detector {
             return;
         }
         let images = self.images(triple);
+        let seen = (self.images_as_seen(triple), near.map(|near| self.images_as_seen(near)));
         let near = near.map(|near| self.images(near));
         if let Some(near) = near.as_ref().filter(|_| self.looked.next <= index) {
             self.looked.next = index + 1;
@@ -341,10 +380,9 @@ impl Detector {
         let extra = self.found.keep_strongest(self.config.candidates_max);
         self.counters.candidates_dropped += extra as u64;
         for found in self.found.all() {
-            let behind = near
-                .as_ref()
-                .filter(|_| found.behind == Behind::Near)
-                .unwrap_or(&images);
+            // The ball's light is the lamps' own: it is fitted as it came.
+            let near = seen.1.as_ref().filter(|_| found.behind == Behind::Near);
+            let behind = near.unwrap_or(&seen.0);
             self.patches.keep(behind, &found.blob, &found.detection);
             self.detections.push(found.detection);
         }

@@ -154,7 +154,17 @@ dispatched!(
 dispatched!(
     kernel:
     /// See [`kernel::clipped_change_sums`].
-    clipped_change_sums(rows: (&[u8], &[u8]), length: usize, clips: &[u8], sums: &mut [u32])
+    clipped_change_sums(rows: (&[u8], &[u8]), length: usize, clips: &[u8], sums: &mut [[u32; 2]])
+);
+dispatched!(
+    kernel:
+    /// See [`kernel::add_tile_sums`].
+    add_tile_sums(rows: (&[u8], &[u8]), sums: &mut [[u32; 2]])
+);
+dispatched!(
+    kernel:
+    /// See [`kernel::even_row`].
+    even_row(row: &[u8], length: usize, scales: &[u16], even: &mut [u8])
 );
 dispatched!(
     kernel:

@@ -9,8 +9,17 @@ use crate::scene::Frame;
 pub struct Seen {
     /// The frame (shared pixels, no copy).
     pub frame: Frame,
+    /// The same under even light, where lamps flicker.
+    pub even: Option<Frame>,
     /// Tiles changed since the frame before; `None` for the first of a window.
     pub changed: Option<TileMap>,
+}
+
+impl Seen {
+    /// What is searched.
+    pub fn searched(&self) -> &Frame {
+        self.even.as_ref().unwrap_or(&self.frame)
+    }
 }
 
 /// Frames of one window by their index in it; old ones are dropped, their maps used again.
@@ -26,9 +35,9 @@ pub struct Triple<'a> {
     /// The frame to search.
     pub current: &'a Seen,
     /// A frame in which the ball is elsewhere.
-    pub one: &'a Frame,
+    pub one: &'a Seen,
     /// Another one.
-    pub other: &'a Frame,
+    pub other: &'a Seen,
     /// Tiles changed from the frame in question to the next; `None` for the last of a window.
     pub changed_after: Option<&'a TileMap>,
 }
@@ -64,8 +73,8 @@ impl History {
     }
 
     /// Takes the next frame of the window.
-    pub fn push(&mut self, frame: Frame, changed: Option<TileMap>) {
-        self.seen.push_back(Seen { frame, changed });
+    pub fn push(&mut self, (frame, even): (Frame, Option<Frame>), changed: Option<TileMap>) {
+        self.seen.push_back(Seen { frame, even, changed });
     }
 
     /// Drops the frames before `index`.
@@ -99,8 +108,8 @@ impl History {
     fn with<'a>(&'a self, current: &'a Seen, index: usize, (one, other): (&'a Seen, &'a Seen)) -> Triple<'a> {
         Triple {
             current,
-            one: &one.frame,
-            other: &other.frame,
+            one,
+            other,
             changed_after: self.get(index + 1).and_then(|next| next.changed.as_ref()),
         }
     }

@@ -123,14 +123,14 @@ fn piece_changes_more(current: &[u8], previous: &[u8], limit: u8) -> bool {
 const SUM_STEP_PX: usize = 32;
 const SUM_STEPS_MAX: usize = 256;
 
-/// Sums of min(|current − previous|, clip) over pieces of a row of `length` pixels (the last may have fewer), each with a
-/// clip of its own.
+/// Sums of the rises and of the falls from previous to current, each pixel's up to `clip`, over pieces of a row of `length`
+/// pixels (the last may have fewer), each with a clip of its own.
 #[inline(always)]
 pub fn clipped_change_sums(
     (current, previous): (&[u8], &[u8]),
     length: usize,
     clips: &[u8],
-    sums: &mut [u32],
+    sums: &mut [[u32; 2]],
 ) {
     let pieces = current.chunks(length.max(1)).zip(previous.chunks(length.max(1)));
     for ((c, p), (clip, sum)) in pieces.zip(clips.iter().zip(sums)) {
@@ -139,25 +139,65 @@ pub fn clipped_change_sums(
 }
 
 #[inline(always)]
-fn clipped_change_sum(current: &[u8], previous: &[u8], clip: u8) -> u32 {
+fn clipped_change_sum(current: &[u8], previous: &[u8], clip: u8) -> [u32; 2] {
     const PIECE_PX: usize = SUM_STEP_PX * SUM_STEPS_MAX;
-    let mut sum = 0;
+    let [mut rises, mut falls] = [0; 2];
     for (current, previous) in current.chunks(PIECE_PX).zip(previous.chunks(PIECE_PX)) {
         let ((c_steps, c_rest), (p_steps, p_rest)) = (current.as_chunks(), previous.as_chunks());
-        let mut lanes = [0u16; SUM_STEP_PX];
+        let [mut up, mut down] = [[0u16; SUM_STEP_PX]; 2];
         for (c, p) in c_steps.iter().zip(p_steps) {
             let (c, p): (&[u8; SUM_STEP_PX], &[u8; SUM_STEP_PX]) = (c, p);
             for i in 0..SUM_STEP_PX {
-                lanes[i] += u16::from(c[i].abs_diff(p[i]).min(clip));
+                up[i] += u16::from(c[i].saturating_sub(p[i]).min(clip));
+                down[i] += u16::from(p[i].saturating_sub(c[i]).min(clip));
             }
         }
-        sum += lanes.iter().map(|lane| u32::from(*lane)).sum::<u32>();
-        let rest = c_rest.iter().zip(p_rest);
-        sum += rest
-            .map(|(c, p)| u32::from(c.abs_diff(*p).min(clip)))
-            .sum::<u32>();
+        rises += up.iter().map(|lane| u32::from(*lane)).sum::<u32>();
+        falls += down.iter().map(|lane| u32::from(*lane)).sum::<u32>();
+        for (c, p) in c_rest.iter().zip(p_rest) {
+            rises += u32::from(c.saturating_sub(*p).min(clip));
+            falls += u32::from(p.saturating_sub(*c).min(clip));
+        }
     }
-    sum
+    [rises, falls]
+}
+
+/// Adds the levels of a row of two images to the sums of its tiles.
+#[inline(always)]
+pub fn add_tile_sums((one, other): (&[u8], &[u8]), sums: &mut [[u32; 2]]) {
+    let tiles = one.chunks(TILE_WIDTH_PX).zip(other.chunks(TILE_WIDTH_PX));
+    for ((a, b), [sum_a, sum_b]) in tiles.zip(sums) {
+        *sum_a += tile_sum(a);
+        *sum_b += tile_sum(b);
+    }
+}
+
+#[inline(always)]
+fn tile_sum(levels: &[u8]) -> u32 {
+    match <&[u8; TILE_WIDTH_PX]>::try_from(levels) {
+        Ok(levels) => levels.iter().map(|level| u32::from(*level)).sum(),
+        Err(_) => levels.iter().map(|level| u32::from(*level)).sum(),
+    }
+}
+
+/// A scale of 1 of [`even_row`], which are below 4.
+pub const EVEN_UNIT: u16 = 1 << 10;
+
+/// A row whose pieces of `length` pixels are multiplied by a scale each, in parts of [`EVEN_UNIT`], rounded.
+#[inline(always)]
+pub fn even_row(row: &[u8], length: usize, scales: &[u16], even: &mut [u8]) {
+    let pieces = row.chunks(length.max(1)).zip(even.chunks_mut(length.max(1)));
+    for ((piece, even), scale) in pieces.zip(scales) {
+        if *scale == EVEN_UNIT {
+            even.copy_from_slice(piece);
+            continue;
+        }
+        for (even, level) in even.iter_mut().zip(piece) {
+            // Twice the level that is sought: the last bit rounds.
+            let twice = ((u32::from(u16::from(*level) << 7) * u32::from(*scale)) >> 16) as u16;
+            *even = ((twice + 1) >> 1).min(255) as u8;
+        }
+    }
 }
 
 /// Reads both slices once and does next to nothing: the speed of memory, for the bench.

@@ -33,6 +33,7 @@ mod kernel;
 #[cfg(test)]
 mod lag_tests;
 mod lanes;
+mod light;
 mod looked;
 mod movers;
 mod packed;

@@ -6,7 +6,7 @@ use super::detector::{Answers, Detector};
 use super::dispatch::{Isa, Kernels};
 use super::error::{DetectionError, wrong_size_of_raw};
 use super::kernel::TILE_HEIGHT_PX;
-use crate::scene::{Frame, RawFrame};
+use crate::scene::{Frame, FrameStamp, RawFrame};
 
 /// Memory of frames that have been unpacked: used again once nobody reads them any more.
 #[derive(Default)]
@@ -16,7 +16,7 @@ pub struct UnpackedFrames {
 
 impl UnpackedFrames {
     /// Memory that nobody reads.
-    fn spare(&mut self, bytes: usize) -> Arc<Vec<u8>> {
+    pub(super) fn spare(&mut self, bytes: usize) -> Arc<Vec<u8>> {
         let free = self
             .all
             .iter()
@@ -27,14 +27,24 @@ impl UnpackedFrames {
         }
     }
 
-    fn frame(&mut self, raw: &RawFrame, levels: Arc<Vec<u8>>) -> Frame {
+    /// A frame with memory got here.
+    pub(super) fn frame_of(
+        &mut self,
+        stamp: FrameStamp,
+        (width_px, height_px): (usize, usize),
+        levels: Arc<Vec<u8>>,
+    ) -> Frame {
         self.all.push(levels.clone());
         Frame {
-            stamp: raw.stamp,
-            width_px: raw.width_px,
-            height_px: raw.height_px,
+            stamp,
+            width_px: width_px as u32,
+            height_px: height_px as u32,
             pixels: levels,
         }
+    }
+
+    fn frame(&mut self, raw: &RawFrame, levels: Arc<Vec<u8>>) -> Frame {
+        self.frame_of(raw.stamp, (raw.width_px as usize, raw.height_px as usize), levels)
     }
 
     /// The image that the detector sees: a Mono8 frame as it is, of any other the upper eight bits. `None`: its bytes do
@@ -68,8 +78,13 @@ impl Detector {
             return Err(wrong_size_of_raw(raw, (self.width_px, self.height_px)));
         }
         self.begin(raw.stamp, answers);
+        if self.evens() {
+            let frame = self.unpacked.image(raw).ok_or_else(|| wrong_size_of_raw(raw, (self.width_px, self.height_px)))?;
+            self.take_evened(frame, answers);
+            return Ok(());
+        }
         let mut changed = self.history.spare_map(self.width_px, self.height_px);
-        let previous = self.history.newest().map(|seen| seen.frame.clone());
+        let previous = self.history.newest().map(|seen| seen.searched().clone());
         let mut levels = self.unpacked.spare(pixels);
         let unpacking = Kernels::new(Isa::to_unpack());
         if let Some(levels) = Arc::get_mut(&mut levels) {
@@ -86,7 +101,7 @@ impl Detector {
             }
         }
         let unpacked = self.unpacked.frame(raw, levels);
-        self.take(unpacked, previous.is_some().then_some(changed), answers);
+        self.take((unpacked, None), previous.is_some().then_some(changed), answers);
         Ok(())
     }
 }
@@ -97,7 +112,7 @@ mod tests {
     use crate::detection::DetectorConfig;
     use crate::detection::packing::tests::{ALL, pack};
     use crate::detection::painter::{Ball, Canvas};
-    use crate::scene::{Detection, FrameStamp, PixelFormat};
+    use crate::scene::{Detection, PixelFormat};
 
     #[derive(Default)]
     struct All(Vec<Detection>);

@@ -2,6 +2,7 @@
 
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
+use super::light::Light;
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::regions::{REGION_TILES, RegionNoise};
 use super::tiles::TileMap;
@@ -17,8 +18,10 @@ pub struct Scan {
     kernels: Kernels,
     /// Noise and thresholds.
     pub noise: RegionNoise,
+    /// Whether lamps flicker.
+    pub light: Light,
     /// Of the regions of a row of tiles.
-    sums: Vec<u32>,
+    sums: Vec<[u32; 2]>,
 }
 
 impl Scan {
@@ -28,7 +31,8 @@ impl Scan {
             width_px,
             kernels: Kernels::new(isa),
             noise: RegionNoise::new(config, width_px, height_px),
-            sums: vec![0; width_px.div_ceil(REGION_WIDTH_PX)],
+            light: Light::new((width_px, height_px), Kernels::new(isa)),
+            sums: vec![[0; 2]; width_px.div_ceil(REGION_WIDTH_PX)],
         }
     }
 
@@ -66,8 +70,10 @@ impl Scan {
         let clips = self.noise.clips(band);
         self.kernels
             .clipped_change_sums((c, p), REGION_WIDTH_PX, clips, &mut self.sums);
-        for (region, (sum, pixels)) in self.sums.iter().zip(c.chunks(REGION_WIDTH_PX)).enumerate() {
-            self.noise.learn(band, region, *sum as f32 / pixels.len() as f32);
+        for (region, ([rises, falls], pixels)) in self.sums.iter().zip(c.chunks(REGION_WIDTH_PX)).enumerate() {
+            let mean = |sum: f32| sum / pixels.len() as f32;
+            self.noise.learn(band, region, mean((rises + falls) as f32));
+            self.light.learn(band, region, mean(*rises as f32 - *falls as f32));
         }
     }
 }
