@@ -1,12 +1,12 @@
 //! One camera's detector: takes frames in time order, answers each a few frames later.
 
-use super::blobs::{BlobFinder, Images, LARGE_SIDE_PX};
+use super::blobs::{Blob, BlobFinder, Images, LARGE_SIDE_PX};
 use super::bodies::Bodies;
 use super::candidates::{apart, candidate, look_at, small_ball};
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
 use super::error::{DetectionError, check_size};
-use super::finds::{Behind, Finds};
+use super::finds::{Behind, Finds, Found, Restless};
 use super::history::{History, Triple};
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::looked::Looked;
@@ -102,6 +102,7 @@ pub struct Detector {
     movers: MoverSearch,
     looked: Looked,
     found: Finds,
+    restless: Restless,
     expected: Vec<ExpectedBall>,
     detections: Vec<Detection>,
     patches: PatchPool,
@@ -134,6 +135,7 @@ impl Detector {
             movers: MoverSearch::new(Kernels::new(isa)),
             looked: Looked::default(),
             found: Finds::new(),
+            restless: Restless::new(width, height),
             expected: Vec::with_capacity(64),
             patches: PatchPool::new(config.patch_bytes),
             detections: Vec::with_capacity(config.candidates_max + 1),
@@ -337,16 +339,6 @@ impl Detector {
         }
     }
 
-    /// The same as they came.
-    fn images_as_seen<'a>(&self, triple: &Triple<'a>) -> Images<'a> {
-        Images {
-            current: triple.current.frame.bytes(),
-            one: triple.one.frame.bytes(),
-            other: triple.other.frame.bytes(),
-            ..self.images(triple)
-        }
-    }
-
     fn answer(
         &mut self,
         (index, triple): (usize, &Triple<'_>),
@@ -360,7 +352,6 @@ impl Detector {
             return;
         }
         let images = self.images(triple);
-        let seen = (self.images_as_seen(triple), near.map(|near| self.images_as_seen(near)));
         let near = near.map(|near| self.images(near));
         if let Some(near) = near.as_ref().filter(|_| self.looked.next <= index) {
             self.looked.next = index + 1;
@@ -370,19 +361,27 @@ impl Detector {
             self.blobs.fetch_ahead(&images, &self.tiles);
         }
         while let Some((found, spot)) = self.looked.take_spot(index) {
-            self.found.push(found, spot, Behind::Near);
+            self.found.push(Found {
+                detection: found,
+                blob: spot,
+                behind: Behind::Near,
+                expected: false,
+            });
         }
         self.find_blobs(&images);
         self.look_into_blobs(&images, near.as_ref(), stamp);
         self.expected.clear();
         answers.expect(stamp, &mut self.expected);
         self.look_where_expected(&images, stamp);
-        let extra = self.found.keep_strongest(self.config.candidates_max);
+        let extra = self
+            .found
+            .keep_strongest(self.config.candidates_max, &self.restless);
         self.counters.candidates_dropped += extra as u64;
         for found in self.found.all() {
-            // The ball's light is the lamps' own: it is fitted as it came.
-            let near = seen.1.as_ref().filter(|_| found.behind == Behind::Near);
-            let behind = near.unwrap_or(&seen.0);
+            let behind = near
+                .as_ref()
+                .filter(|_| found.behind == Behind::Near)
+                .unwrap_or(&images);
             self.patches.keep(behind, &found.blob, &found.detection);
             self.detections.push(found.detection);
         }
@@ -398,11 +397,16 @@ impl Detector {
         blobs.retain(|blob| {
             f64::from(blob.peak) > sigmas * f64::from(blob.difference_sigma) && blob.area_px >= AREA_MIN_PX
         });
-        blobs.sort_unstable_by(|a, b| b.significance().total_cmp(&a.significance()));
         let extra = blobs.len().saturating_sub(self.config.candidates_max);
         self.counters.candidates_dropped += extra as u64;
-        // The moments are dear: only the strongest blobs get them.
-        blobs.truncate(self.config.candidates_max);
+        self.restless.learn(blobs);
+        if extra > 0 {
+            // The moments are dear: only the strongest blobs get them.
+            let rank = |blob: &Blob| blob.significance() * self.restless.share(blob);
+            blobs.sort_unstable_by(|a, b| rank(b).total_cmp(&rank(a)));
+            blobs.truncate(self.config.candidates_max);
+        }
+        blobs.sort_unstable_by(|a, b| b.significance().total_cmp(&a.significance()));
     }
 
     /// Spots in front of large bodies, where there are many; their tiles are not searched further.
@@ -432,7 +436,12 @@ impl Detector {
                 small_ball(images, blob).and_then(|m| candidate(&self.config, stamp, &m))
             };
             if let Some(found) = whole {
-                self.found.push(found, *blob, Behind::Far);
+                self.found.push(Found {
+                    detection: found,
+                    blob: *blob,
+                    behind: Behind::Far,
+                    expected: false,
+                });
             }
             // Larger than a ball: a player with a ball before him, or a ball that touches something that moves.
             let budget = if blob.side_px() > LARGE_SIDE_PX {
@@ -451,7 +460,12 @@ impl Detector {
                 if let Some(found) = candidate(&self.config, stamp, &moments)
                     && whole.is_none_or(|whole| apart(&whole, &found))
                 {
-                    self.found.push(found, spot, Behind::Near);
+                    self.found.push(Found {
+                        detection: found,
+                        blob: spot,
+                        behind: Behind::Near,
+                        expected: false,
+                    });
                 }
             }
         }
@@ -477,7 +491,12 @@ impl Detector {
             if let Some(found) = look_at(images, expected, sigma, &self.config, stamp)
                 && self.found.all().all(|other| apart(&other.detection, &found.0))
             {
-                self.found.push(found.0, found.1, Behind::Far);
+                self.found.push(Found {
+                    detection: found.0,
+                    blob: found.1,
+                    behind: Behind::Far,
+                    expected: true,
+                });
             }
         }
     }
