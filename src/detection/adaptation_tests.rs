@@ -42,6 +42,15 @@ fn search(
     picture: impl Fn(u64, &Canvas) -> Canvas,
     gain: impl Fn(u64, usize) -> f32,
 ) -> (ByFrame, DetectorCounters) {
+    search_for(ball, count, picture, gain)
+}
+
+fn search_for(
+    ball: impl Fn(u64) -> Ball,
+    count: u64,
+    picture: impl Fn(u64, &Canvas) -> Canvas,
+    gain: impl Fn(u64, usize) -> f32,
+) -> (ByFrame, DetectorCounters) {
     let stand = Canvas::stand(WIDTH + 100, HEIGHT, 9, 20.0);
     let mut detector = Detector::new(DetectorConfig::default(), WIDTH as u32, HEIGHT as u32);
     let mut found = ByFrame::default();
@@ -106,6 +115,52 @@ fn lamps_that_flicker_are_followed_within_a_second() {
     };
     let (found, _) = search(2 * SECOND, still, flicker);
     assert_followed("flicker", &found, SECOND..2 * SECOND - 6);
+}
+
+/// The same in less light.
+fn dim_ball(number: u64) -> Ball {
+    Ball {
+        light: 105.0,
+        shade: 85.0,
+        ..ball(number)
+    }
+}
+
+/// A bright stand, and before a dark wall in its middle the ball: a region has both.
+fn wall_in_a_stand(_: u64, stand: &Canvas) -> Canvas {
+    let mut canvas = moved(stand, 0.0);
+    for (i, level) in canvas.light.iter_mut().enumerate() {
+        *level = if (60..80).contains(&(i / WIDTH)) {
+            50.0
+        } else {
+            2.0 * *level
+        };
+    }
+    canvas
+}
+
+#[test]
+fn a_ball_as_dim_as_the_stand_is_found_while_lamps_flicker() {
+    let wave = |number: u64, phase: f64| {
+        let turn = std::f64::consts::TAU * 120.0 * number as f64 / RATE_HZ + phase;
+        1.0 + 0.1 * turn.sin() as f32
+    };
+    let (found, _) = search_for(dim_ball, 2 * SECOND, wall_in_a_stand, |number, _| {
+        wave(number, 0.0)
+    });
+    assert_followed("before a wall", &found, SECOND..2 * SECOND - 6);
+    // The border of what they light is that of a cell: light is even within one.
+    let two = |number: u64, x: usize| wave(number, if x < 128 { 0.0 } else { 2.0 });
+    let (found, _) = search_for(dim_ball, 2 * SECOND, wall_in_a_stand, two);
+    assert_followed("two lamps", &found, SECOND..2 * SECOND - 6);
+    // Before the bright stand itself, a ball darker than it.
+    let stand = |number: u64, stand: &Canvas| {
+        let mut canvas = still(number, stand);
+        canvas.light.iter_mut().for_each(|level| *level *= 2.0);
+        canvas
+    };
+    let (found, _) = search_for(dim_ball, 2 * SECOND, stand, |number, _| wave(number, 0.0));
+    assert_followed("before a bright stand", &found, SECOND..2 * SECOND - 6);
 }
 
 #[test]

@@ -154,7 +154,7 @@ dispatched!(
 dispatched!(
     kernel:
     /// See [`kernel::clipped_change_sums`].
-    clipped_change_sums(rows: (&[u8], &[u8]), length: usize, clips: &[u8], sums: &mut [[u32; 2]])
+    clipped_change_sums(rows: (&[u8], &[u8]), length: usize, clips: &[u8], sums: &mut [[u32; 3]])
 );
 dispatched!(
     kernel:

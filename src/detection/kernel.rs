@@ -123,14 +123,18 @@ fn piece_changes_more(current: &[u8], previous: &[u8], limit: u8) -> bool {
 const SUM_STEP_PX: usize = 32;
 const SUM_STEPS_MAX: usize = 256;
 
-/// Sums of the rises and of the falls from previous to current, each pixel's up to `clip`, over pieces of a row of `length`
-/// pixels (the last may have fewer), each with a clip of its own.
+/// Pixels change together where lamps flicker, many by a few levels; an edge that moves changes few by many. So of a rise or a
+/// fall no more counts, levels.
+pub const STEP_CLIP: u8 = 4;
+
+/// Sums over pieces of a row of `length` pixels (the last may have fewer): of min(|current − previous|, clip), each piece with
+/// a clip of its own, and of the rises and of the falls, each pixel's up to [`STEP_CLIP`].
 #[inline(always)]
 pub fn clipped_change_sums(
     (current, previous): (&[u8], &[u8]),
     length: usize,
     clips: &[u8],
-    sums: &mut [[u32; 2]],
+    sums: &mut [[u32; 3]],
 ) {
     let pieces = current.chunks(length.max(1)).zip(previous.chunks(length.max(1)));
     for ((c, p), (clip, sum)) in pieces.zip(clips.iter().zip(sums)) {
@@ -139,27 +143,35 @@ pub fn clipped_change_sums(
 }
 
 #[inline(always)]
-fn clipped_change_sum(current: &[u8], previous: &[u8], clip: u8) -> [u32; 2] {
+fn clipped_change_sum(current: &[u8], previous: &[u8], clip: u8) -> [u32; 3] {
     const PIECE_PX: usize = SUM_STEP_PX * SUM_STEPS_MAX;
-    let [mut rises, mut falls] = [0; 2];
+    let mut sums = [0; 3];
     for (current, previous) in current.chunks(PIECE_PX).zip(previous.chunks(PIECE_PX)) {
         let ((c_steps, c_rest), (p_steps, p_rest)) = (current.as_chunks(), previous.as_chunks());
-        let [mut up, mut down] = [[0u16; SUM_STEP_PX]; 2];
+        let mut lanes = [[0u16; SUM_STEP_PX]; 3];
         for (c, p) in c_steps.iter().zip(p_steps) {
             let (c, p): (&[u8; SUM_STEP_PX], &[u8; SUM_STEP_PX]) = (c, p);
             for i in 0..SUM_STEP_PX {
-                up[i] += u16::from(c[i].saturating_sub(p[i]).min(clip));
-                down[i] += u16::from(p[i].saturating_sub(c[i]).min(clip));
+                lanes[0][i] += u16::from(c[i].abs_diff(p[i]).min(clip));
+                lanes[1][i] += u16::from(c[i].saturating_sub(p[i]).min(STEP_CLIP));
+                lanes[2][i] += u16::from(p[i].saturating_sub(c[i]).min(STEP_CLIP));
             }
         }
-        rises += up.iter().map(|lane| u32::from(*lane)).sum::<u32>();
-        falls += down.iter().map(|lane| u32::from(*lane)).sum::<u32>();
+        for (sum, lanes) in sums.iter_mut().zip(lanes) {
+            *sum += lanes.iter().map(|lane| u32::from(*lane)).sum::<u32>();
+        }
         for (c, p) in c_rest.iter().zip(p_rest) {
-            rises += u32::from(c.saturating_sub(*p).min(clip));
-            falls += u32::from(p.saturating_sub(*c).min(clip));
+            let rest = [
+                c.abs_diff(*p).min(clip),
+                c.saturating_sub(*p).min(STEP_CLIP),
+                p.saturating_sub(*c).min(STEP_CLIP),
+            ];
+            for (sum, change) in sums.iter_mut().zip(rest) {
+                *sum += u32::from(change);
+            }
         }
     }
-    [rises, falls]
+    sums
 }
 
 /// Adds the levels of a row of two images to the sums of its tiles.

@@ -54,14 +54,31 @@ proptest! {
                 let by_hand = (run.iter().map(|v| u32::from(*v)).sum::<u32>(), *run.iter().max().unwrap());
                 assert_eq!(kernels.change_of_run((c, a, b), begin, length), by_hand);
             }
-            let (clips, mut sums) = ([clip, clip / 2], [0; 2]);
+            let (clips, mut sums) = ([clip, clip / 2], [[0; 3]; 2]);
             kernels.clipped_change_sums((c, a), 5 * width, &clips, &mut sums);
             let both = (sums, kernels.read_both(c, a));
-            let by_hand = |from: usize, to: usize, clip: u8| -> u32 {
-                let pairs = c[from..to].iter().zip(&a[from..to]);
-                pairs.map(|(c, a)| u32::from(c.abs_diff(*a).min(clip))).sum()
+            let by_hand = |from: usize, to: usize, clip: u8| -> [u32; 3] {
+                let up = |(c, a): (&u8, &u8)| u32::from(c.saturating_sub(*a).min(kernel::STEP_CLIP));
+                let any = |(c, a): (&u8, &u8)| u32::from(c.abs_diff(*a).min(clip));
+                let pairs = || c[from..to].iter().zip(&a[from..to]);
+                [pairs().map(any).sum(), pairs().map(up).sum(), pairs().map(|(c, a)| up((a, c))).sum()]
             };
             assert_eq!(sums, [by_hand(0, 5 * width, clip), by_hand(5 * width, size, clip / 2)]);
+            let mut of_tiles = vec![[0; 2]; width.div_ceil(32)];
+            c.chunks(width).zip(a.chunks(width)).for_each(|rows| kernels.add_tile_sums(rows, &mut of_tiles));
+            let rows = || c.chunks(width).zip(a.chunks(width));
+            for (tile, sums) in of_tiles.iter().enumerate() {
+                let columns = 32 * tile..(32 * tile + 32).min(width);
+                let sum = |row: &[u8]| row[columns.clone()].iter().map(|v| u32::from(*v)).sum::<u32>();
+                let by_hand: [u32; 2] = [rows().map(|(c, _)| sum(c)).sum(), rows().map(|(_, a)| sum(a)).sum()];
+                assert_eq!(*sums, by_hand);
+            }
+            let (scales, mut even) = ([700 + 4 * u16::from(clip), kernel::EVEN_UNIT], vec![0; width]);
+            kernels.even_row(&c[..width], 40, &scales, &mut even);
+            for (i, (even, level)) in even.iter().zip(c).enumerate().take(80) {
+                let level = f64::from(*level) * f64::from(scales[i / 40]) / f64::from(kernel::EVEN_UNIT);
+                assert!((f64::from(*even) - level.min(255.0)).abs() <= 0.5, "{level} gives {even}");
+            }
             (tiles, masks, both, sizes)
         };
         let portable = run(Isa::Portable);
@@ -80,9 +97,9 @@ proptest! {
 fn the_sum_of_a_long_row_of_the_largest_changes_fits() {
     for isa in Isa::available() {
         let (dark, bright) = (vec![0; 20_000], vec![255; 20_000]);
-        let mut sums = [0];
+        let mut sums = [[0; 3]];
         Kernels::new(*isa).clipped_change_sums((&bright, &dark), 20_000, &[255], &mut sums);
-        assert_eq!(sums, [5_100_000]);
+        assert_eq!(sums, [[5_100_000, 80_000, 0]]);
     }
 }
 

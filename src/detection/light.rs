@@ -38,6 +38,7 @@ pub struct Light {
     scales: Vec<f32>,
     /// Of the bands of a row of cells: of each tile in the newest frame and in the one before.
     sums: Vec<[u32; 2]>,
+    /// What those of a row of cells are multiplied by, in parts of [`EVEN_UNIT`].
     units: Vec<u16>,
     evens: bool,
     memory: UnpackedFrames,
@@ -123,7 +124,8 @@ impl Light {
             }
         }
         let cells = row * self.columns..(row + 1) * self.columns;
-        let (Some(steps), Some(scales)) = (self.steps.get_mut(cells.clone()), self.scales.get_mut(cells)) else {
+        let (Some(steps), Some(scales)) = (self.steps.get_mut(cells.clone()), self.scales.get_mut(cells))
+        else {
             return;
         };
         for (cell, ((step, scale), unit)) in steps.iter_mut().zip(scales).zip(&mut self.units).enumerate() {

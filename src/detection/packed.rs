@@ -79,7 +79,10 @@ impl Detector {
         }
         self.begin(raw.stamp, answers);
         if self.evens() {
-            let frame = self.unpacked.image(raw).ok_or_else(|| wrong_size_of_raw(raw, (self.width_px, self.height_px)))?;
+            let frame = self
+                .unpacked
+                .image(raw)
+                .ok_or_else(|| wrong_size_of_raw(raw, (self.width_px, self.height_px)))?;
             self.take_evened(frame, answers);
             return Ok(());
         }

@@ -2,8 +2,8 @@
 
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
-use super::light::Light;
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
+use super::light::Light;
 use super::regions::{REGION_TILES, RegionNoise};
 use super::tiles::TileMap;
 
@@ -21,7 +21,7 @@ pub struct Scan {
     /// Whether lamps flicker.
     pub light: Light,
     /// Of the regions of a row of tiles.
-    sums: Vec<[u32; 2]>,
+    sums: Vec<[u32; 3]>,
 }
 
 impl Scan {
@@ -32,7 +32,7 @@ impl Scan {
             kernels: Kernels::new(isa),
             noise: RegionNoise::new(config, width_px, height_px),
             light: Light::new((width_px, height_px), Kernels::new(isa)),
-            sums: vec![[0; 2]; width_px.div_ceil(REGION_WIDTH_PX)],
+            sums: vec![[0; 3]; width_px.div_ceil(REGION_WIDTH_PX)],
         }
     }
 
@@ -70,10 +70,13 @@ impl Scan {
         let clips = self.noise.clips(band);
         self.kernels
             .clipped_change_sums((c, p), REGION_WIDTH_PX, clips, &mut self.sums);
-        for (region, ([rises, falls], pixels)) in self.sums.iter().zip(c.chunks(REGION_WIDTH_PX)).enumerate() {
+        for (region, ([change, rises, falls], pixels)) in
+            self.sums.iter().zip(c.chunks(REGION_WIDTH_PX)).enumerate()
+        {
             let mean = |sum: f32| sum / pixels.len() as f32;
-            self.noise.learn(band, region, mean((rises + falls) as f32));
-            self.light.learn(band, region, mean(*rises as f32 - *falls as f32));
+            self.noise.learn(band, region, mean(*change as f32));
+            self.light
+                .learn(band, region, mean(*rises as f32 - *falls as f32));
         }
     }
 }
