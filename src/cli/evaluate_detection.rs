@@ -156,6 +156,14 @@ fn cut_pictures(
             pictures.missing()
         );
     }
+    if pictures.left_out > 0 {
+        tell_line!(
+            "pitchd: warning: camera {}: {} pictures more than {} were left out",
+            score.camera,
+            pictures.left_out,
+            pictures.written
+        );
+    }
     if pictures.written > 0 {
         tell_line!("{}: {} pictures", folder.display(), pictures.written);
     }

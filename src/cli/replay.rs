@@ -168,7 +168,10 @@ fn unsearched(watched: &Watched) -> Option<String> {
 fn facts(session: &Path, watched: &[Watched]) -> Vec<(String, String)> {
     let mut facts = vec![("session".to_owned(), session.display().to_string())];
     for w in watched {
-        let search = w.search.as_ref().map_or(String::new(), |s| format!("; {s}"));
+        let search = w
+            .search
+            .as_ref()
+            .map_or(String::new(), |s| format!("; {}", s.seen()));
         let told = format!(
             "{} frames, {} tracks of pitches{search}",
             w.frames,

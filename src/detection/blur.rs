@@ -46,8 +46,7 @@ impl BlurChoice {
 
     /// Index of the likeliest blur tried.
     fn best(&self) -> usize {
-        let costs = self.costs.iter().enumerate();
-        costs.min_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(i, _)| i)
+        least(&self.costs)
     }
 
     /// The likeliest blur: where a parabola through the best and its neighbours is lowest.
@@ -113,11 +112,24 @@ pub fn choose_edge(
     if tried {
         total.learn(&own);
     }
-    let best = total.best();
+    // Where a blur could not be fitted and nothing is known of others, the best of those that could is taken as it is.
+    let alone = !tried && blur.tracks == 0;
+    let best = if alone { least(&own) } else { total.best() };
     let (_, shared) = found.get(best).copied().flatten()?;
+    let sigma_px = if alone {
+        EDGE_SIGMAS_PX.get(best).copied()
+    } else {
+        total.sigma_px()
+    };
     // Only a long track is surely a ball.
     let has_a_say = tried && points >= BLUR_POINTS_MIN && BlurChoice::plausible(&own);
-    Some((Edge::new(total.sigma_px()?), shared, has_a_say.then_some(own)))
+    Some((Edge::new(sigma_px?), shared, has_a_say.then_some(own)))
+}
+
+/// The index of the least cost.
+fn least(costs: &BlurCosts) -> usize {
+    let costs = costs.iter().enumerate();
+    costs.min_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(i, _)| i)
 }
 
 fn costs_of(found: &Found) -> BlurCosts {
@@ -135,7 +147,7 @@ fn compare(pictures: &mut [Picture], first: &Shared, only: Option<usize>) -> Fou
             continue;
         }
         if let Some(worse) = worse {
-            // From here on it only gets worse.
+            // Taken as no better.
             *slot = Some((worse, held));
             continue;
         }

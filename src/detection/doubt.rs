@@ -3,13 +3,17 @@
 //! Such a centre keeps its place, and its covariance gets what it is off: it then says as little as it knows. Done when all has
 //! been judged, since what wavers must not pass for unsure.
 
-use nalgebra::Matrix2;
+use nalgebra::{Matrix2, Vector2};
 
 use super::path::{Near, place};
 use crate::scene::Track;
 
 /// A centre further off than so many σ of the path and its own is doubted.
 const SIGMAS_MAX: f64 = 3.0;
+/// ... if that is so many times what half of those beside it are off.
+const USUAL_RATIO: f64 = 3.0;
+/// Points on each side that are beside it.
+const BESIDE: usize = 4;
 /// Points on each side among which the nearest are looked for.
 const REACH: usize = 12;
 /// Passes: in the second the path no longer follows what the first doubted.
@@ -20,23 +24,50 @@ pub fn doubt(track: &mut Track, radius_px: f64) -> usize {
     let told: Vec<_> = track.points.iter().map(|point| point.covariance_px2).collect();
     let mut doubted = 0;
     for _ in 0..PASSES {
-        let off: Vec<Option<Matrix2<f64>>> = (0..track.points.len())
+        let off: Vec<Option<Off>> = (0..track.points.len())
             .map(|index| off_path(track, index, (told.get(index).copied().flatten()?, radius_px)))
             .collect();
-        doubted = off.iter().flatten().count();
-        for ((point, told), off) in track.points.iter_mut().zip(&told).zip(&off) {
-            point.covariance_px2 = told.map(|told| off.map_or(told, |off| told + off));
+        let stands_out: Vec<bool> = (0..off.len()).map(|index| stands_out(&off, index)).collect();
+        doubted = stands_out.iter().filter(|stands_out| **stands_out).count();
+        let all = track
+            .points
+            .iter_mut()
+            .zip(&told)
+            .zip(off.iter().zip(&stands_out));
+        for ((point, told), (off, stands_out)) in all {
+            let wider = off
+                .as_ref()
+                .filter(|_| *stands_out)
+                .map(|off| off.px * off.px.transpose());
+            point.covariance_px2 = told.map(|told| wider.map_or(told, |wider| told + wider));
         }
     }
     doubted
 }
 
-/// The square of how far a point of this covariance is off the path of its neighbours, px²; `None` where it is on it.
-fn off_path(
-    track: &Track,
-    index: usize,
-    (covariance, radius_px): (Matrix2<f64>, f64),
-) -> Option<Matrix2<f64>> {
+/// How far a point is off the path of its neighbours, and what is allowed, pixels.
+struct Off {
+    px: Vector2<f64>,
+    allowed_px: f64,
+}
+
+/// Whether a point is further off than it may be, and much further than those beside it: where a ball comes near no parabola
+/// follows it, and all are off alike. An end, which the path does not reach from both sides, never does.
+fn stands_out(off: &[Option<Off>], index: usize) -> bool {
+    if index < BESIDE || index + BESIDE >= off.len() {
+        return false;
+    }
+    let Some(Some(own)) = off.get(index) else {
+        return false;
+    };
+    let beside = off.iter().skip(index.saturating_sub(BESIDE)).take(2 * BESIDE + 1);
+    let mut beside: Vec<f64> = beside.flatten().map(|off| off.px.norm()).collect();
+    beside.sort_by(f64::total_cmp);
+    let usual = beside.get(beside.len() / 2).copied().unwrap_or(0.0);
+    own.px.norm() > own.allowed_px.max(USUAL_RATIO * usual)
+}
+
+fn off_path(track: &Track, index: usize, (covariance, radius_px): (Matrix2<f64>, f64)) -> Option<Off> {
     let point = track.points.get(index)?;
     let epoch = point.stamped.nanos();
     let near = track.points.iter().enumerate();
@@ -46,9 +77,11 @@ fn off_path(
         near.filter_map(|(_, point)| Near::of_point(epoch, point))
             .collect(),
     )?;
-    let off = point.pixel.vector() - place.centre_px;
     let variance = 0.5 * covariance.trace() + place.sigma_px.powi(2) + place.bend_sigma_px(radius_px).powi(2);
-    (off.norm() > SIGMAS_MAX * variance.sqrt()).then(|| off * off.transpose())
+    Some(Off {
+        px: point.pixel.vector() - place.centre_px,
+        allowed_px: SIGMAS_MAX * variance.sqrt(),
+    })
 }
 
 #[cfg(test)]
@@ -87,5 +120,28 @@ mod tests {
         let across = track.points[21].covariance_px2.unwrap();
         assert!((across.m22.sqrt() - 0.4).abs() < 0.05, "{across}");
         assert_eq!(track.points[22].covariance_px2, still.points[22].covariance_px2);
+    }
+
+    #[test]
+    fn a_ball_that_comes_near_is_not_doubted() {
+        // From 23 m to 6 m, 1.5 m off the axis: x = f·X/Z, without noise.
+        let mut track = Track {
+            camera: CameraId::new("backstop").unwrap(),
+            track: 0,
+            points: (0..72)
+                .map(|i| {
+                    let depth_m = 23.0 - 41.0 * i as f64 / 175.0;
+                    TrackPoint {
+                        frame: i,
+                        stamped: StampedMidpoint::from_seconds_since(0, i as f64 / 175.0),
+                        pixel: Pixel::new(1790.0 * 1.5 / depth_m, 1790.0 * 2.0 / depth_m),
+                        covariance_px2: Some(Matrix2::identity() * 9e-4),
+                    }
+                })
+                .collect(),
+        };
+        let still = track.clone();
+        assert_eq!(doubt(&mut track, 4.0), 0);
+        assert_eq!(track, still);
     }
 }

@@ -325,7 +325,10 @@ impl Picture {
     fn solve_own(&mut self, shared: &Shared, edge: &Edge, steps_max: usize) -> Option<Sums> {
         let settled = self.settle(shared, edge, steps_max);
         let state = self.sums(&self.own, (shared, edge), true);
-        self.chi2 = state.squares / (state.used - 3.0).max(1.0);
+        self.chi2 = match settled {
+            Some(_) => state.squares / (state.used - 3.0).max(1.0),
+            None => f64::INFINITY,
+        };
         settled.map(|_| state)
     }
 
@@ -403,6 +406,7 @@ fn pool(pictures: &mut [Picture], looks: &[Option<Sums>], shared: &Shared) -> Po
 /// A frame that looks less like the ball than most (half hidden, at an edge) has little say.
 fn weigh(pictures: &mut [Picture]) {
     let mut all: Vec<f64> = pictures.iter().map(|p| p.chi2).collect();
+    all.retain(|chi2| chi2.is_finite());
     all.sort_by(f64::total_cmp);
     let median = all.get(all.len() / 2).copied().unwrap_or(1.0).max(0.5);
     for picture in pictures {

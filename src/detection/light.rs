@@ -15,6 +15,8 @@ use crate::scene::Frame;
 /// Tile rows of a cell; it has the tile columns of a region.
 pub const CELL_BANDS: usize = 4;
 const CELL_TILES: usize = CELL_BANDS * REGION_TILES;
+// A tile's number within its cell has four bits.
+const _: () = assert!(CELL_TILES <= 16);
 /// Rows of a tile that are summed.
 const ROWS: [usize; 2] = [1, 5];
 /// A cell flickers where the mean of its levels changes by so much from frame to frame.

@@ -72,7 +72,7 @@ impl Near {
         }
     }
 
-    /// A point that is a fitted centre.
+    /// A point of a track, by the covariance that it has.
     pub fn of_point(epoch_ns: i64, point: &TrackPoint) -> Option<Self> {
         Some(Self {
             t_s: point.stamped.seconds_since(epoch_ns),

@@ -237,6 +237,7 @@ impl Refiner {
         }
         // The pixels that the ball of the found size reaches.
         let (mut indices, mut pictures) = (Vec::new(), Vec::new());
+        let mut share = 1.0;
         for (index, start) in &starts {
             let point = track.points.get(*index)?;
             let better = PictureStart {
@@ -245,7 +246,10 @@ impl Refiner {
             };
             let known = running.and_then(|running| running.picture(point, &better, &edge));
             let patch = pool.find(point.stamped, point.pixel)?;
-            if let Some(picture) = known.or_else(|| Picture::new(&patch, &better, &edge)) {
+            // In the light of the picture before, until it is known better.
+            let new = || Some(Picture::new(&patch, &better, &edge)?.lit(share));
+            if let Some(picture) = known.or_else(new) {
+                (_, share) = picture.share();
                 indices.push(*index);
                 pictures.push(picture);
             }

@@ -16,6 +16,9 @@ const SCALE: usize = 4;
 const MARK_PX: usize = 12;
 const MARK_LEVEL: u8 = 255;
 
+/// Most pictures of one camera: a detector that finds nothing misses thousands.
+const PICTURES_MAX: usize = 1000;
+
 /// A picture that cannot be written.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {reason}", path.display())]
@@ -32,6 +35,8 @@ pub struct Pictures {
     wanted: BTreeMap<u64, Vec<(Pixel, String)>>,
     /// Pictures written.
     pub written: usize,
+    /// Pictures that would be too many.
+    pub left_out: usize,
 }
 
 impl Pictures {
@@ -54,6 +59,10 @@ impl Pictures {
     }
 
     fn want(&mut self, frame: u64, place: Pixel, name: String) {
+        if self.missing() >= PICTURES_MAX {
+            self.left_out += 1;
+            return;
+        }
         self.wanted.entry(frame).or_default().push((place, name));
     }
 

@@ -29,21 +29,33 @@ pub struct FrameSearch {
     pub overflows: u64,
 }
 
-impl fmt::Display for FrameSearch {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "candidates {:.1} frames ({:.1} ms) after their frame, search p50 {:.2} p99 {:.2} ms a frame",
-            self.waited_frames, self.waited_ms, self.search_ms_p50, self.search_ms_p99
-        )?;
+impl FrameSearch {
+    /// What the frames themselves decide, in words: how late candidates come, and what was left out.
+    pub fn seen(&self) -> String {
+        let mut words = format!(
+            "candidates {:.1} frames ({:.1} ms) after their frame",
+            self.waited_frames, self.waited_ms
+        );
         let left_out = [
             (self.global_changes, "frames changed all over"),
             (self.candidates_dropped, "candidates too many"),
             (self.overflows, "frames with too many changed pixels"),
         ];
         for (count, what) in left_out.iter().filter(|(count, _)| *count > 0) {
-            write!(f, "; {count} {what}")?;
+            words += &format!("; {count} {what}");
         }
-        Ok(())
+        words
+    }
+}
+
+impl fmt::Display for FrameSearch {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "{}; search p50 {:.2} p99 {:.2} ms a frame",
+            self.seen(),
+            self.search_ms_p50,
+            self.search_ms_p99
+        )
     }
 }

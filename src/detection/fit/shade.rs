@@ -7,7 +7,7 @@ use super::{DRIFT, DRIFTING, Edge, OWN_STEPS_POOLED, Picture, Shared, SharedMatr
 /// Shares that are tried, relative to what the shared light has.
 const SHARES: [f64; 9] = [0.0, 0.25, 0.5, 0.75, 1.0, 1.35, 1.8, 2.5, 4.0];
 /// Of them those that tell whether the others need be tried.
-const TOLD_BY: [f64; 2] = [0.0, 2.5];
+const TOLD_BY: [f64; 3] = [0.0, 1.0, 2.5];
 /// ... by one picture in so many.
 const TOLD_STEP: usize = 3;
 /// What all pictures gain by shares of their own is more than this, in cost (half of χ²).
@@ -23,7 +23,9 @@ const UNTOLD_COST: f64 = 5.0;
 /// Holds a term of the light at nothing.
 const STEADY_WEIGHT: f64 = 1e6;
 /// Times that the shares are told from the ball, and the ball from the shares.
-const PASSES_MAX: usize = 3;
+const PASSES_MAX: usize = 2;
+/// The light is told by one picture in so many.
+const LIGHT_STEP: usize = 3;
 /// So many pictures at least have the share that becomes one.
 const FULL_MIN: usize = 4;
 
@@ -47,10 +49,14 @@ impl Picture {
     }
 }
 
-/// Robust cost of all pictures, each with the share that it has, and of the shared parameters' prior.
+/// Robust cost of all pictures, each with the share that it has, and of the shared parameters' prior. A picture in which the
+/// ball is not found costs more than any other.
 pub fn misfit(pictures: &[Picture], shared: &Shared, edge: &Edge) -> f64 {
-    let costs = pictures.iter().map(|p| p.cost_at(p.share, shared, edge));
-    shared.prior_cost() + costs.filter(|cost| cost.is_finite()).sum::<f64>()
+    let costs = costs_now(pictures, shared, edge);
+    let found = costs.iter().copied().filter(|cost| cost.is_finite());
+    let lost = costs.iter().filter(|cost| !cost.is_finite()).count() as f64;
+    let most = found.clone().fold(0.0, f64::max);
+    shared.prior_cost() + found.sum::<f64>() + lost * (most + SAY_MAX)
 }
 
 /// A track's fit with the share of the sphere's light that each picture has, where shares explain it better than one light does;
@@ -65,8 +71,9 @@ pub fn fit_shares(
         return None;
     }
     // A light that drifts would be taken for shade, and a polynomial for the sun.
+    let mut part: Vec<Picture> = pictures.iter().step_by(LIGHT_STEP).cloned().collect();
+    let mut trial = first_fit(&mut part, &shared.steady(), edge, steps_max)?;
     let mut tried = pictures.to_vec();
-    let mut trial = first_fit(&mut tried, &shared.steady(), edge, steps_max)?;
     let mut passes = 0;
     while passes < PASSES_MAX && find_shares(&mut tried, &mut trial, edge) {
         fit_shared(&mut tried, &mut trial, edge, steps_max)?;
@@ -76,14 +83,16 @@ pub fn fit_shares(
         return None;
     }
     trial.weights = shared.weights;
-    // What is left of the light in the shade and a polynomial against it are nearly the same: most likely nothing is.
+    // What is left of the light in the shade and a polynomial against it are nearly the same: none is tried too.
     let full_shade = tried
         .iter()
         .map(|p| p.clone().lit(if p.share < SHADED_MAX { 0.0 } else { p.share }));
     let mut best = (misfit(pictures, shared, edge) - GAIN_MIN, None);
     for mut tried in [full_shade.collect(), tried] {
         let mut trial = trial;
-        let (covariance, _) = fit_shared(&mut tried, &mut trial, edge, steps_max)?;
+        let Some((covariance, _)) = fit_shared(&mut tried, &mut trial, edge, steps_max) else {
+            continue;
+        };
         let cost = misfit(&tried, &trial, edge);
         if cost < best.0 {
             best = (cost, Some((tried, trial, covariance)));
@@ -94,7 +103,8 @@ pub fn fit_shares(
         return Some((tried, trial, covariance));
     }
     let (covariance, _) = fit_shared(&mut tried, &mut trial, edge, steps_max)?;
-    Some((tried, trial, covariance))
+    let better = misfit(&tried, &trial, edge) + GAIN_MIN < misfit(pictures, shared, edge);
+    better.then_some((tried, trial, covariance))
 }
 
 /// Gives pictures that their share does not tell the full light again; whether there are any.
@@ -102,8 +112,12 @@ fn light_hidden(pictures: &mut [Picture], shared: &Shared, edge: &Edge) -> bool 
     let costs = costs_now(pictures, shared, edge);
     let untold = UNTOLD_COST * usual(&costs);
     let hidden = pictures.iter_mut().zip(&costs);
-    let hidden = hidden.filter(|(picture, cost)| picture.share != 1.0 && **cost > untold);
-    hidden.map(|(picture, _)| picture.share = 1.0).count() > 0
+    let mut any = false;
+    for (picture, _) in hidden.filter(|(picture, cost)| picture.share != 1.0 && **cost > untold) {
+        picture.share = 1.0;
+        any = true;
+    }
+    any
 }
 
 /// Whether some pictures one after the other are told better by another share: of one in so many.
@@ -111,7 +125,9 @@ fn may_be_shaded(pictures: &[Picture], shared: &Shared, edge: &Edge) -> bool {
     let gains = pictures.iter().step_by(TOLD_STEP).map(|picture| {
         let now = picture.cost_at(picture.share, shared, edge);
         let costs = TOLD_BY.iter().map(|share| picture.cost_at(*share, shared, edge));
-        (now - costs.fold(now, f64::min)).min(SAY_MAX)
+        let gain = now - costs.fold(now, f64::min);
+        // Where the ball is not found nothing is told.
+        if gain.is_finite() { gain.min(SAY_MAX) } else { 0.0 }
     });
     best_run(gains) * TOLD_STEP as f64 > GAIN_MIN
 }
