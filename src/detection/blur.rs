@@ -11,8 +11,8 @@ const BLUR_POINTS_MIN: usize = 45;
 const BLUR_RATIO_MAX: f64 = 4.0;
 /// Blurs on each side of the best that are compared with it.
 const BESIDE: usize = 2;
-/// When a blur's cost is so many times the least, larger blurs are not tried.
-const WORSE_RATIO: f64 = 2.0;
+/// The blur tried first where none is known.
+const USUAL: usize = 4;
 /// A picture this many times as unlike the ball as most has no say.
 const UNLIKE_MAX: f64 = 2.5;
 /// Tracks on which all blurs are tried.
@@ -102,12 +102,24 @@ pub fn choose_edge(
     blur: &BlurChoice,
 ) -> Option<(Edge, Shared, Option<BlurCosts>)> {
     let settled = blur.tracks >= BLUR_TRACKS || (blur.tracks > 0 && points < BLUR_POINTS_MIN);
-    let mut found = compare(&mut pictures, first, settled.then_some(blur.best()));
-    if !settled && look_closer(&mut pictures, &found) {
-        found = compare(&mut pictures, first, None);
+    if settled {
+        let mut comparison = Comparison {
+            pictures: &mut pictures,
+            first,
+            held: None,
+            released: None,
+            found: Found::default(),
+        };
+        let (_, shared) = comparison.hold(blur.best())?;
+        return Some((Edge::new(blur.sigma_px()?), shared, None));
+    }
+    let begin = if blur.tracks > 0 { blur.best() } else { USUAL };
+    let mut found = compare(&mut pictures, first, begin);
+    if look_closer(&mut pictures, &found) {
+        found = compare(&mut pictures, first, least(&costs_of(&found)));
     }
     let own = costs_of(&found);
-    let tried = !settled && found.iter().all(Option::is_some);
+    let tried = found.iter().all(Option::is_some);
     let mut total = *blur;
     if tried {
         total.learn(&own);
@@ -136,48 +148,71 @@ fn costs_of(found: &Found) -> BlurCosts {
     found.map(|found| found.map_or(f64::INFINITY, |(cost, _)| cost))
 }
 
-/// The pictures with every blur, or with one alone.
-fn compare(pictures: &mut [Picture], first: &Shared, only: Option<usize>) -> Found {
-    let mut found = Found::default();
-    // From blur to blur the ball changes little: each begins where the last has ended.
-    let (mut held, mut begun, mut released) = (*first, false, None::<Shared>);
-    let (mut low, mut worse) = (f64::INFINITY, None);
-    for (index, (sigma_px, slot)) in EDGE_SIGMAS_PX.iter().zip(&mut found).enumerate() {
-        if only.is_some_and(|only| index != only) {
-            continue;
-        }
-        if let Some(worse) = worse {
-            // Taken as no better.
-            *slot = Some((worse, held));
-            continue;
-        }
-        let edge = Edge::new(*sigma_px);
-        for picture in pictures.iter_mut() {
+/// Fits pictures with one blur after the other, each from where the last has ended: from blur to blur a ball changes little.
+struct Comparison<'a> {
+    pictures: &'a mut [Picture],
+    first: &'a Shared,
+    held: Option<Shared>,
+    released: Option<Shared>,
+    found: Found,
+}
+
+impl Comparison<'_> {
+    /// The ball by the sphere's light alone, with a blur: held to it the light would be matched by a wrong blur.
+    fn hold(&mut self, index: usize) -> Option<(Edge, Shared)> {
+        let edge = Edge::new(EDGE_SIGMAS_PX.get(index).copied()?);
+        for picture in self.pictures.iter_mut() {
             picture.blur(&edge);
         }
-        // Held to the sphere alone the light would be matched by a wrong blur.
-        let fitted = if begun {
-            fit_shared(pictures, &mut held, &edge, STEPS).map(|_| held)
-        } else {
-            first_fit(pictures, first, &edge, STEPS)
+        let held = match self.held {
+            Some(mut held) => fit_shared(self.pictures, &mut held, &edge, STEPS).map(|_| held),
+            None => first_fit(self.pictures, self.first, &edge, STEPS),
         };
-        begun = fitted.is_some();
-        let Some(fitted) = fitted else { continue };
-        held = fitted;
-        if only.is_some() {
-            *slot = Some((0.0, held));
-            continue;
+        self.held = held.or(self.held);
+        Some((edge, held?))
+    }
+
+    /// How well a blur explains the pictures; what the light then makes of it only compares the blurs.
+    fn cost(&mut self, index: usize) -> Option<f64> {
+        if let Some((cost, _)) = self.found.get(index).copied().flatten() {
+            return Some(cost);
         }
-        // What the light then makes of it only compares the blurs.
-        let mut shared = released.unwrap_or(held);
+        let (edge, held) = self.hold(index)?;
+        let mut shared = self.released.unwrap_or(held);
         shared.release_light();
-        let compared = fit_shared(pictures, &mut shared, &edge, STEPS);
-        released = Some(shared);
-        if compared.is_some() {
-            let cost = misfit(pictures, &shared, &edge);
-            *slot = Some((cost, held));
-            low = low.min(cost);
-            worse = (cost > WORSE_RATIO * low).then_some(cost);
+        fit_shared(self.pictures, &mut shared, &edge, STEPS)?;
+        self.released = Some(shared);
+        let cost = misfit(self.pictures, &shared, &edge);
+        *self.found.get_mut(index)? = Some((cost, held));
+        Some(cost)
+    }
+}
+
+/// The pictures with blurs from one on, to the better side until those beside the best are worse; the others are taken as no
+/// better than the worst.
+fn compare(pictures: &mut [Picture], first: &Shared, begin: usize) -> Found {
+    let mut comparison = Comparison {
+        pictures,
+        first,
+        held: None,
+        released: None,
+        found: Found::default(),
+    };
+    let mut best = begin;
+    loop {
+        let beside = best.saturating_sub(1)..=(best + 1).min(EDGE_SIGMAS_PX.len() - 1);
+        let costs = beside.map(|index| (index, comparison.cost(index).unwrap_or(f64::INFINITY)));
+        let least = costs.min_by(|a, b| a.1.total_cmp(&b.1));
+        match least {
+            Some((index, cost)) if index != best && cost.is_finite() => best = index,
+            _ => break,
+        }
+    }
+    let mut found = comparison.found;
+    let worst = found.iter().flatten().map(|(cost, _)| *cost).fold(0.0, f64::max);
+    if let Some((_, ball)) = found.get(best).copied().flatten() {
+        for slot in &mut found {
+            *slot = slot.or(Some((worst, ball)));
         }
     }
     found
