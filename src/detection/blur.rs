@@ -16,7 +16,7 @@ const USUAL: usize = 4;
 /// A picture this many times as unlike the ball as most has no say.
 const UNLIKE_MAX: f64 = 2.5;
 /// Tracks on which all blurs are tried.
-const BLUR_TRACKS: usize = 4;
+const BLUR_TRACKS: usize = 3;
 /// Gauss–Newton steps of a trial.
 const STEPS: usize = 8;
 
@@ -31,6 +31,11 @@ pub struct BlurChoice {
 }
 
 impl BlurChoice {
+    /// Whether a ball has taught it.
+    pub fn is_known(&self) -> bool {
+        self.tracks > 0
+    }
+
     /// With one ball more, while more are of use.
     pub fn learn(&mut self, own: &BlurCosts) {
         if self.tracks >= BLUR_TRACKS {

@@ -120,7 +120,13 @@ impl Refiner {
         track: &mut Track,
         size: Option<&KnownSize>,
     ) -> Option<Refined> {
-        let fit = self.fit(cut_outs, track, size)?;
+        // At its end nobody waits for a comparison of blurs, if one is known.
+        let teaches = if self.blur.is_known() {
+            0
+        } else {
+            track.points.len()
+        };
+        let fit = self.fit(cut_outs, (track, teaches), size)?;
         let span = track.span()?;
         let Fit {
             starts,
@@ -200,7 +206,7 @@ impl Refiner {
 
     /// Fits a ball that still flies, so that [`Self::refine`] goes on from there; whether it could be fitted.
     pub fn look_ahead(&mut self, cut_outs: &PatchPool, track: &Track, size: Option<&KnownSize>) -> bool {
-        let Some(fit) = self.fit(cut_outs, track, size) else {
+        let Some(fit) = self.fit(cut_outs, (track, track.points.len()), size) else {
             return false;
         };
         let Some(running) = Running::new(
@@ -224,13 +230,19 @@ impl Refiner {
         self.running.iter().any(|running| running.is_of(track))
     }
 
-    fn fit(&self, pool: &PatchPool, track: &Track, size: Option<&KnownSize>) -> Option<Fit> {
+    /// Ball and pictures of a track that teaches the blur by so many points.
+    fn fit(
+        &self,
+        pool: &PatchPool,
+        (track, teaches): (&Track, usize),
+        size: Option<&KnownSize>,
+    ) -> Option<Fit> {
         let starts = self.starts(pool, track)?;
         let size = size.and_then(|size| size.over(track));
         let running = self.running.iter().find(|running| running.is_of(track));
         let (edge, mut shared, blur) = match running {
             Some(running) => running.ball(track)?,
-            None => self.first_fit((pool, track), &starts, size)?,
+            None => self.first_fit((pool, track, teaches), &starts, size)?,
         };
         if let Some((radius_px, growth)) = size {
             shared.know_size(radius_px, growth);
@@ -318,7 +330,7 @@ impl Refiner {
     /// Blur and ball from a few frames.
     fn first_fit(
         &self,
-        (pool, track): (&PatchPool, &Track),
+        (pool, track, teaches): (&PatchPool, &Track, usize),
         starts: &[(usize, PictureStart)],
         size: Option<(f64, f64)>,
     ) -> Option<(Edge, Shared, Option<BlurCosts>)> {
@@ -343,7 +355,7 @@ impl Refiner {
         if trial.len() < PICTURES_MIN {
             return None;
         }
-        choose_edge(trial, &first, starts.len(), &self.blur)
+        choose_edge(trial, &first, teaches.min(starts.len()), &self.blur)
     }
 }
 
