@@ -6,7 +6,7 @@ use super::fit::{Picture, Shared, first_fit, fit_shared, fit_shares, misfit};
 /// Blurs of the disc's edge that are tried (σ, pixels): pixel area alone to soft optics.
 pub const EDGE_SIGMAS_PX: [f64; 10] = [0.3, 0.36, 0.43, 0.52, 0.62, 0.74, 0.88, 1.05, 1.25, 1.5];
 /// Points of a track that has a say in the blur.
-const BLUR_POINTS_MIN: usize = 45;
+const BLUR_POINTS_MIN: usize = 30;
 /// ... and its costs do not differ by more than this between the best blur and those beside it.
 const BLUR_RATIO_MAX: f64 = 4.0;
 /// Blurs on each side of the best that are compared with it.
