@@ -108,14 +108,7 @@ pub fn choose_edge(
 ) -> Option<(Edge, Shared, Option<BlurCosts>)> {
     let settled = blur.tracks >= BLUR_TRACKS || (blur.tracks > 0 && points < BLUR_POINTS_MIN);
     if settled {
-        let mut comparison = Comparison {
-            pictures: &mut pictures,
-            first,
-            held: None,
-            released: None,
-            found: Found::default(),
-        };
-        let (_, shared) = comparison.hold(blur.best())?;
+        let (_, shared) = Comparison::new(&mut pictures, first).hold(blur.best())?;
         return Some((Edge::new(blur.sigma_px()?), shared, None));
     }
     let begin = if blur.tracks > 0 { blur.best() } else { USUAL };
@@ -162,7 +155,17 @@ struct Comparison<'a> {
     found: Found,
 }
 
-impl Comparison<'_> {
+impl<'a> Comparison<'a> {
+    fn new(pictures: &'a mut [Picture], first: &'a Shared) -> Self {
+        Self {
+            pictures,
+            first,
+            held: None,
+            released: None,
+            found: Found::default(),
+        }
+    }
+
     /// The ball by the sphere's light alone, with a blur: held to it the light would be matched by a wrong blur.
     fn hold(&mut self, index: usize) -> Option<(Edge, Shared)> {
         let edge = Edge::new(EDGE_SIGMAS_PX.get(index).copied()?);
@@ -196,13 +199,7 @@ impl Comparison<'_> {
 /// The pictures with blurs from one on, to the better side until those beside the best are worse; the others are taken as no
 /// better than the worst.
 fn compare(pictures: &mut [Picture], first: &Shared, begin: usize) -> Found {
-    let mut comparison = Comparison {
-        pictures,
-        first,
-        held: None,
-        released: None,
-        found: Found::default(),
-    };
+    let mut comparison = Comparison::new(pictures, first);
     let mut best = begin;
     loop {
         let beside = best.saturating_sub(1)..=(best + 1).min(EDGE_SIGMAS_PX.len() - 1);
