@@ -94,9 +94,6 @@ impl BlurChoice {
     }
 }
 
-/// What each blur tried makes of a ball: cost, and the ball by the sphere's light alone.
-type Found = [Option<(f64, Shared)>; EDGE_SIGMAS_PX.len()];
-
 /// Fits a few pictures of a track with every blur (later only with the best) and takes the likeliest over all tracks. With
 /// it how well each blur explains this track, if it is to have a say. The pictures are of the same pixels for every blur, or
 /// their costs could not be compared.
@@ -112,28 +109,18 @@ pub fn choose_edge(
         return Some((Edge::new(blur.sigma_px()?), shared, None));
     }
     let begin = if blur.tracks > 0 { blur.best() } else { USUAL };
-    let mut found = compare(&mut pictures, first, begin);
-    if look_closer(&mut pictures, &found) {
-        found = compare(&mut pictures, first, least(&costs_of(&found)));
+    let (mut own, mut held) = compare(&mut pictures, first, begin)?;
+    if look_closer(&mut pictures, &own, &held) {
+        (own, held) = compare(&mut pictures, first, least(&own))?;
     }
-    let own = costs_of(&found);
-    let tried = found.iter().all(Option::is_some);
     let mut total = *blur;
-    if tried {
-        total.learn(&own);
-    }
-    // Where a blur could not be fitted and nothing is known of others, the best of those that could is taken as it is.
-    let alone = !tried && blur.tracks == 0;
-    let best = if alone { least(&own) } else { total.best() };
-    let (_, shared) = found.get(best).copied().flatten()?;
-    let sigma_px = if alone {
-        EDGE_SIGMAS_PX.get(best).copied()
-    } else {
-        total.sigma_px()
-    };
+    total.learn(&own);
+    let mut comparison = Comparison::new(&mut pictures, first);
+    comparison.held = Some(held);
+    let (_, shared) = comparison.hold(total.best())?;
     // Only a long track is surely a ball.
-    let has_a_say = tried && points >= BLUR_POINTS_MIN && BlurChoice::plausible(&own);
-    Some((Edge::new(sigma_px?), shared, has_a_say.then_some(own)))
+    let has_a_say = points >= BLUR_POINTS_MIN && BlurChoice::plausible(&own);
+    Some((Edge::new(total.sigma_px()?), shared, has_a_say.then_some(own)))
 }
 
 /// The index of the least cost.
@@ -142,17 +129,13 @@ fn least(costs: &BlurCosts) -> usize {
     costs.min_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(i, _)| i)
 }
 
-fn costs_of(found: &Found) -> BlurCosts {
-    found.map(|found| found.map_or(f64::INFINITY, |(cost, _)| cost))
-}
-
 /// Fits pictures with one blur after the other, each from where the last has ended: from blur to blur a ball changes little.
 struct Comparison<'a> {
     pictures: &'a mut [Picture],
     first: &'a Shared,
     held: Option<Shared>,
     released: Option<Shared>,
-    found: Found,
+    costs: [Option<f64>; EDGE_SIGMAS_PX.len()],
 }
 
 impl<'a> Comparison<'a> {
@@ -162,16 +145,21 @@ impl<'a> Comparison<'a> {
             first,
             held: None,
             released: None,
-            found: Found::default(),
+            costs: [None; EDGE_SIGMAS_PX.len()],
         }
     }
 
-    /// The ball by the sphere's light alone, with a blur: held to it the light would be matched by a wrong blur.
-    fn hold(&mut self, index: usize) -> Option<(Edge, Shared)> {
+    fn blur(&mut self, index: usize) -> Option<Edge> {
         let edge = Edge::new(EDGE_SIGMAS_PX.get(index).copied()?);
         for picture in self.pictures.iter_mut() {
             picture.blur(&edge);
         }
+        Some(edge)
+    }
+
+    /// The ball by the sphere's light alone, with a blur: the polynomial would match the light to a wrong blur.
+    fn hold(&mut self, index: usize) -> Option<(Edge, Shared)> {
+        let edge = self.blur(index)?;
         let held = match self.held {
             Some(mut held) => fit_shared(self.pictures, &mut held, &edge, STEPS).map(|_| held),
             None => first_fit(self.pictures, self.first, &edge, STEPS),
@@ -182,23 +170,25 @@ impl<'a> Comparison<'a> {
 
     /// How well a blur explains the pictures; what the light then makes of it only compares the blurs.
     fn cost(&mut self, index: usize) -> Option<f64> {
-        if let Some((cost, _)) = self.found.get(index).copied().flatten() {
+        if let Some(cost) = self.costs.get(index).copied().flatten() {
             return Some(cost);
         }
-        let (edge, held) = self.hold(index)?;
-        let mut shared = self.released.unwrap_or(held);
+        let (edge, mut shared) = match self.released {
+            Some(released) => (self.blur(index)?, released),
+            None => self.hold(index)?,
+        };
         shared.release_light();
         fit_shared(self.pictures, &mut shared, &edge, STEPS)?;
         self.released = Some(shared);
         let cost = misfit(self.pictures, &shared, &edge);
-        *self.found.get_mut(index)? = Some((cost, held));
+        *self.costs.get_mut(index)? = Some(cost);
         Some(cost)
     }
 }
 
 /// The pictures with blurs from one on, to the better side until those beside the best are worse; the others are taken as no
-/// better than the worst.
-fn compare(pictures: &mut [Picture], first: &Shared, begin: usize) -> Found {
+/// better than the worst. With the costs the ball by the sphere's light alone, with the best blur.
+fn compare(pictures: &mut [Picture], first: &Shared, begin: usize) -> Option<(BlurCosts, Shared)> {
     let mut comparison = Comparison::new(pictures, first);
     let mut best = begin;
     loop {
@@ -210,26 +200,19 @@ fn compare(pictures: &mut [Picture], first: &Shared, begin: usize) -> Found {
             _ => break,
         }
     }
-    let mut found = comparison.found;
-    let worst = found.iter().flatten().map(|(cost, _)| *cost).fold(0.0, f64::max);
-    if let Some((_, ball)) = found.get(best).copied().flatten() {
-        for slot in &mut found {
-            *slot = slot.or(Some((worst, ball)));
-        }
-    }
-    found
+    let (_, held) = comparison.hold(best)?;
+    let costs = comparison.costs;
+    let worst = costs.iter().copied().flatten().fold(0.0, f64::max);
+    Some((costs.map(|cost| cost.unwrap_or(worst)), held))
 }
 
 /// Leaves out pictures that look less like the ball than most, and finds those in the shade, which a wrong blur would else
 /// explain; whether the blurs have to be compared again.
-fn look_closer(pictures: &mut Vec<Picture>, found: &Found) -> bool {
-    let costs = costs_of(found);
-    let best = costs.iter().zip(EDGE_SIGMAS_PX).zip(found);
-    let best = best.min_by(|a, b| a.0.0.total_cmp(b.0.0));
-    let Some(((_, sigma_px), Some((_, shared)))) = best else {
+fn look_closer(pictures: &mut Vec<Picture>, costs: &BlurCosts, held: &Shared) -> bool {
+    let Some(sigma_px) = EDGE_SIGMAS_PX.get(least(costs)) else {
         return false;
     };
-    let (edge, mut shared) = (Edge::new(sigma_px), *shared);
+    let (edge, mut shared) = (Edge::new(*sigma_px), *held);
     for picture in pictures.iter_mut() {
         picture.blur(&edge);
     }

@@ -279,7 +279,17 @@ impl Picture {
 
     /// Sums over the pixels: for all parameters, or for the own ones alone at half the cost.
     fn sums(&self, own: &Vector3<f64>, (shared, edge): (&Shared, &Edge), all: bool) -> Sums {
-        let parameters = shared.fill((self.place, &self.turn, self.share), own);
+        self.sums_lit((own, self.share), (shared, edge), all)
+    }
+
+    /// The same with another share of the sphere's light.
+    fn sums_lit(
+        &self,
+        (own, share): (&Vector3<f64>, f64),
+        (shared, edge): (&Shared, &Edge),
+        all: bool,
+    ) -> Sums {
+        let parameters = shared.fill((self.place, &self.turn, share), own);
         let noise = (self.model_variance, HUBER_SIGMAS);
         let look = Look::new(&parameters, (&self.sweep, edge), noise);
         if all {
@@ -289,9 +299,15 @@ impl Picture {
         }
     }
 
-    /// Finds centre and level for given shared parameters; gives the final sums over them alone.
-    fn settle(&mut self, shared: &Shared, edge: &Edge, steps_max: usize) -> Option<Sums> {
-        let mut state = self.sums(&self.own, (shared, edge), false);
+    /// Finds centre and level for given shared parameters and share, from these on; gives the final sums over them alone.
+    fn settle(
+        &self,
+        (own, share): (&mut Vector3<f64>, f64),
+        shared: &Shared,
+        edge: &Edge,
+        steps_max: usize,
+    ) -> Option<Sums> {
+        let mut state = self.sums_lit((own, share), (shared, edge), false);
         let mut damping = 1e-3;
         for _ in 0..steps_max {
             let mut block: Matrix3<f64> = state.information.fixed_view::<OWN, OWN>(0, 0).into_owned();
@@ -301,13 +317,13 @@ impl Picture {
             let step = block
                 .cholesky()?
                 .solve(&state.gradient.fixed_rows::<OWN>(0).into_owned());
-            if step.xy().norm() < STEP_MIN_PX && step[LEVEL].abs() < STEP_MIN_SHARE * self.own[LEVEL] {
+            if step.xy().norm() < STEP_MIN_PX && step[LEVEL].abs() < STEP_MIN_SHARE * own[LEVEL] {
                 break;
             }
-            let trial = self.own + step;
-            let next = self.sums(&trial, (shared, edge), false);
+            let trial = *own + step;
+            let next = self.sums_lit((&trial, share), (shared, edge), false);
             if next.cost <= state.cost {
-                self.own = trial;
+                *own = trial;
                 state = next;
                 damping = (damping * 0.2).max(1e-9);
             } else {
@@ -317,13 +333,15 @@ impl Picture {
                 }
             }
         }
-        let away = (self.own.xy() - self.start_px).norm();
-        (away.is_finite() && away < self.reach_px && self.own[LEVEL] > 0.0).then_some(state)
+        let away = (own.xy() - self.start_px).norm();
+        (away.is_finite() && away < self.reach_px && own[LEVEL] > 0.0).then_some(state)
     }
 
     /// Finds centre and level for given shared parameters; gives the final linearisation.
     fn solve_own(&mut self, shared: &Shared, edge: &Edge, steps_max: usize) -> Option<Sums> {
-        let settled = self.settle(shared, edge, steps_max);
+        let mut own = self.own;
+        let settled = self.settle((&mut own, self.share), shared, edge, steps_max);
+        self.own = own;
         let state = self.sums(&self.own, (shared, edge), true);
         self.chi2 = match settled {
             Some(_) => state.squares / (state.used - 3.0).max(1.0),

@@ -43,9 +43,33 @@ impl Picture {
 
     /// Robust cost at the centre and the level that suit this share best.
     fn cost_at(&self, share: f64, shared: &Shared, edge: &Edge) -> f64 {
-        let mut picture = self.clone().lit(share);
-        let sums = picture.settle(shared, edge, OWN_STEPS_POOLED);
+        let mut own = self.own;
+        let sums = self.settle((&mut own, share), shared, edge, OWN_STEPS_POOLED);
         sums.map_or(f64::INFINITY, |sums| sums.cost)
+    }
+
+    /// The cost of each of [`SHARES`], from the share that it has to both sides until one costs so much more than the best
+    /// that it says no more: those beyond it say the same.
+    fn costs_by_share(&self, now: f64, shared: &Shared, edge: &Edge) -> [f64; SHARES.len()] {
+        let from = SHARES.partition_point(|share| *share < self.share);
+        let mut costs = [f64::INFINITY; SHARES.len()];
+        let mut least = now;
+        let mut walk = |places: &mut dyn Iterator<Item = usize>| {
+            let mut beyond = None;
+            for place in places {
+                let (Some(share), Some(slot)) = (SHARES.get(place), costs.get_mut(place)) else {
+                    continue;
+                };
+                *slot = beyond.unwrap_or_else(|| self.cost_at(*share, shared, edge));
+                least = least.min(*slot);
+                if least.is_finite() && *slot > least + SAY_MAX {
+                    beyond = Some(*slot);
+                }
+            }
+        };
+        walk(&mut (from..SHARES.len()));
+        walk(&mut (0..from).rev());
+        costs
     }
 }
 
@@ -120,16 +144,30 @@ fn light_hidden(pictures: &mut [Picture], shared: &Shared, edge: &Edge) -> bool 
     any
 }
 
-/// Whether some pictures one after the other are told better by another share: of one in so many.
+/// Whether some pictures one after the other are told better by another share: of one in so many, and of those beside the ones
+/// that are. One picture alone does not tell: a hand or an edge is in it.
 fn may_be_shaded(pictures: &[Picture], shared: &Shared, edge: &Edge) -> bool {
-    let gains = pictures.iter().step_by(TOLD_STEP).map(|picture| {
+    let gain = |picture: &Picture| {
         let now = picture.cost_at(picture.share, shared, edge);
         let costs = TOLD_BY.iter().map(|share| picture.cost_at(*share, shared, edge));
         let gain = now - costs.fold(now, f64::min);
         // Where the ball is not found nothing is told.
         if gain.is_finite() { gain.min(SAY_MAX) } else { 0.0 }
+    };
+    let told: Vec<f64> = pictures.iter().step_by(TOLD_STEP).map(gain).collect();
+    if best_run(told.iter().copied()) * TOLD_STEP as f64 <= GAIN_MIN {
+        return false;
+    }
+    let gains_at = |at: usize| told.get(at).copied().filter(|gain| *gain > 0.0);
+    let all = pictures.iter().enumerate().map(|(index, picture)| {
+        let (before, between) = (index / TOLD_STEP, !index.is_multiple_of(TOLD_STEP));
+        match gains_at(before) {
+            own if !between => own.unwrap_or(0.0),
+            None if gains_at(before + 1).is_none() => 0.0,
+            _ => gain(picture),
+        }
     });
-    best_run(gains) * TOLD_STEP as f64 > GAIN_MIN
+    best_run(all) > GAIN_MIN
 }
 
 /// Cost of each picture with the share that it has.
@@ -151,7 +189,8 @@ fn find_shares(pictures: &mut [Picture], shared: &mut Shared, edge: &Edge) -> bo
     let now = costs_now(pictures, shared, edge);
     let costs: Vec<[f64; SHARES.len()]> = pictures
         .iter()
-        .map(|picture| SHARES.map(|share| picture.cost_at(share, shared, edge)))
+        .zip(&now)
+        .map(|(picture, now)| picture.costs_by_share(*now, shared, edge))
         .collect();
     let (path, gain) = likeliest(&costs, &now);
     if !(gain > GAIN_MIN) {
