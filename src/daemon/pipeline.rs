@@ -176,7 +176,7 @@ pub fn start(
         })?);
         let (look_health, look_tracks) = (own.clone(), tracks_in.clone());
         let name = format!("look-{}", connection.id);
-        threads.push(urgent((name, below(priority, Urgency::Solve)), move || {
+        threads.push(urgent((name, below(priority, Urgency::Look)), move || {
             looker::look(&look, (&look_tracks, &steps_in), &second_eye, &look_health);
         })?);
         health.push(own);
@@ -364,13 +364,15 @@ fn urgent(
     })
 }
 
-/// Priorities below a camera's receive thread: a frame is taken before it is searched, and searched before anything is
-/// fitted. Another program's load then delays none of them; `calibrate`, `record`, `disk` and `print` can wait.
+/// Priorities below a camera's receive thread: a frame is taken before it is searched, searched before anything is fitted, and
+/// a pitch whose balls have been fitted is solved before the next ball is. Another program's load then delays none of them;
+/// `calibrate`, `record`, `disk` and `print` can wait.
 #[derive(Clone, Copy)]
 enum Urgency {
     Capture = 1,
     Eye = 2,
     Solve = 4,
+    Look = 5,
 }
 
 fn below(priority: u8, urgency: Urgency) -> Option<u8> {
