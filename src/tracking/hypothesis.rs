@@ -142,6 +142,12 @@ impl Hypothesis {
         mine.zip(theirs).take(3).all(|(a, b)| a.same(b))
     }
 
+    /// Whether two paths have come to the same detection.
+    pub fn ends_with(&self, other: &Hypothesis) -> bool {
+        let ends = self.points.last().zip(other.points.last());
+        ends.is_some_and(|(a, b)| a.same(b))
+    }
+
     /// Share of this path's points that the other path has too.
     pub fn shared(&self, other: &[Point]) -> f64 {
         in_both(&self.points, other) as f64 / self.points.len().max(1) as f64

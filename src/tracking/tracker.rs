@@ -274,7 +274,7 @@ impl Tracker {
 
     fn prune(&mut self, t: f64) {
         self.alive.sort_by(|a, b| b.score.total_cmp(&a.score));
-        let mut kept: Vec<Hypothesis> = Vec::with_capacity(self.alive.len());
+        let mut kept: Vec<(usize, Hypothesis)> = Vec::with_capacity(self.alive.len());
         let mut ended = Vec::new();
         for hypothesis in std::mem::take(&mut self.alive) {
             let missed = t - hypothesis.last_t();
@@ -286,15 +286,27 @@ impl Tracker {
             };
             if missed > allowed {
                 ended.push(hypothesis);
-            } else if kept.iter().any(|better| better.same_end(&hypothesis)) {
+            } else if kept.iter().any(|(_, better)| better.same_end(&hypothesis)) {
                 continue;
-            } else if kept.len() >= self.config.hypotheses_max || family(&kept, &hypothesis) >= FAMILY_MAX {
-                self.counters.hypotheses_dropped += 1;
             } else {
-                kept.push(hypothesis);
+                if family(kept.iter().map(|(_, h)| h), &hypothesis) < FAMILY_MAX {
+                    let here = |(_, better): &&(usize, Hypothesis)| better.ends_with(&hypothesis);
+                    kept.push((kept.iter().filter(here).count(), hypothesis));
+                } else {
+                    self.counters.hypotheses_dropped += 1;
+                }
             }
         }
-        self.alive = kept;
+        let extra = kept.len().saturating_sub(self.config.hypotheses_max);
+        if extra > 0 {
+            self.counters.hypotheses_dropped += extra as u64;
+            // The likeliest way to every place stays before the second one to any: birds and flags that have been followed for
+            // seconds would else leave no place for a ball just thrown.
+            kept.sort_by_key(|(better, _)| *better);
+            kept.truncate(self.config.hypotheses_max);
+            kept.sort_by(|(_, a), (_, b)| b.score.total_cmp(&a.score));
+        }
+        self.alive = kept.into_iter().map(|(_, hypothesis)| hypothesis).collect();
         for hypothesis in ended {
             self.end(hypothesis);
         }
@@ -391,12 +403,12 @@ impl Tracker {
 }
 
 /// How many of these paths begin where this one does: the branches of one mover.
-fn family(kept: &[Hypothesis], hypothesis: &Hypothesis) -> usize {
+fn family<'a>(kept: impl Iterator<Item = &'a Hypothesis>, hypothesis: &Hypothesis) -> usize {
     let Some(first) = hypothesis.points.first() else {
         return 0;
     };
-    let same = |h: &&Hypothesis| h.points.first().is_some_and(|p| p.same(first));
-    kept.iter().filter(same).count()
+    let begins = kept.filter_map(|h| h.points.first());
+    begins.filter(|p| p.same(first)).count()
 }
 
 /// Whether a path may be the rest of an ended one: it begins near its end and goes the same way as fast.

@@ -3,16 +3,15 @@
 use super::*;
 use crate::time::StampedMidpoint;
 
-/// One frame: an arm as a row of spots that all go on the same way, and a ball.
-fn frame(number: u64) -> (FrameStamp, Vec<Detection>) {
+/// A frame's stamp, and detections of it by place and strength.
+fn detecting(number: u64) -> (FrameStamp, impl Fn(f64, f64, f64) -> Detection) {
     let stamp = FrameStamp {
         frame: number,
         device: None,
         arrival: None,
         stamped: StampedMidpoint::from_seconds_since(0, number as f64 / 175.0),
     };
-    let t = number as f64;
-    let spot = |x: f64, y: f64, strength: f64| Detection {
+    let spot = move |x: f64, y: f64, strength: f64| Detection {
         frame: number,
         stamped: stamp.stamped,
         centre: Pixel::new(x, y),
@@ -21,6 +20,13 @@ fn frame(number: u64) -> (FrameStamp, Vec<Detection>) {
         streak_px: [0.0; 2],
         strength,
     };
+    (stamp, spot)
+}
+
+/// One frame: an arm as a row of spots that all go on the same way, and a ball.
+fn frame(number: u64) -> (FrameStamp, Vec<Detection>) {
+    let (stamp, spot) = detecting(number);
+    let t = number as f64;
     let arm = (0..20).map(|i| {
         spot(
             700.0 - 9.0 * t + 2.5 * f64::from(i),
@@ -40,23 +46,48 @@ fn no_beginning_takes_all_places() {
         tracker.push(stamp, &detections);
         assert!(tracker.alive.len() <= tracker.config.hypotheses_max);
         for hypothesis in &tracker.alive {
-            assert!(family(&tracker.alive, hypothesis) <= FAMILY_MAX);
+            assert!(family(tracker.alive.iter(), hypothesis) <= FAMILY_MAX);
         }
     }
     assert!(tracker.counters().hypotheses_dropped > 0, "the arm was too small");
     let balls = tracker.finish();
-    let ball = balls.iter().max_by_key(|b| b.track.points.len()).unwrap();
-    let first = ball.track.points.first().unwrap();
+    let of_ball = balls
+        .iter()
+        .filter(|b| (b.track.points.first().unwrap().pixel.y - 500.0).abs() < 1.0);
+    let counts: Vec<usize> = of_ball.map(|b| b.track.points.len()).collect();
     assert!(
-        (first.pixel.y - 500.0).abs() < 1.0,
-        "the longest path is at {:?}",
-        first.pixel
+        counts.len() == 1 && counts[0] >= 55,
+        "{counts:?} points of the ball"
     );
-    assert!(
-        ball.track.points.len() >= 55,
-        "{} points of the ball",
-        ball.track.points.len()
-    );
+}
+
+#[test]
+fn what_has_long_been_followed_leaves_a_place_for_a_ball() {
+    let mut tracker = Tracker::new(CameraId::new("a").unwrap(), TrackerConfig::default());
+    for number in 0..150 {
+        let (stamp, spot) = detecting(number);
+        let t = number as f64;
+        // Birds: three spots each that are taken for each other.
+        let spots = (0..45).map(|i| {
+            let (bird, beat) = (i / 3, 2.0 * (1.7 * t * f64::from(i % 3 + 1) + f64::from(i)).sin());
+            let (left, top) = (f64::from(bird * 397 % 1600), f64::from(bird * 211 % 660));
+            spot(left + 2.0 * t + beat, top + 4.0 * f64::from(i % 3) - beat, 90.0)
+        });
+        let mut detections: Vec<Detection> = spots.collect();
+        if number >= 90 {
+            let t = t - 90.0;
+            detections.push(spot(1700.0 - 16.0 * t, 700.0 + 0.02 * t * t, 20.0));
+        }
+        tracker.push(stamp, &detections);
+        assert!(tracker.alive.len() <= tracker.config.hypotheses_max);
+        let scores = tracker.alive.iter().map(|h| h.score);
+        assert!(scores.is_sorted_by(|a, b| a >= b));
+    }
+    assert!(tracker.counters().hypotheses_dropped > 1000, "too few birds");
+    let balls = tracker.finish();
+    let pitches = balls.iter().filter(|b| b.kind == TrackKind::Pitch);
+    let counts: Vec<usize> = pitches.map(|b| b.track.points.len()).collect();
+    assert!(counts.len() == 1 && counts[0] >= 55, "{counts:?}");
 }
 
 #[test]
