@@ -6,7 +6,8 @@ use anyhow::Context;
 use clap::Args;
 
 use super::detecting::DetectingArgs;
-use crate::daemon::outfit::eye_of;
+use crate::daemon::outfit::Wanted;
+use crate::daemon::plates::add_plate;
 use crate::daemon::watch::TimedEye;
 use crate::evaluation::{DetectionScore, Pictures, read_centres, score_tracks, truth_of};
 use crate::export::results;
@@ -191,12 +192,16 @@ fn of_scenario(args: &EvaluateDetectionArgs, path: &Path) -> anyhow::Result<Vec<
             renderer.mark_hidden(&mut centres.centres);
             truth_of(centres)
         });
-        let config = args.detecting.of(eye_of(&simulated.rig, &camera.id, None));
-        let mut eye = TimedEye::new(camera.id.clone(), config, (camera.width_px, camera.height_px));
+        let mut wanted = Wanted::of(&simulated.rig, &camera.id, None);
+        wanted.eye = args.detecting.of(wanted.eye);
+        let mut eye = TimedEye::new(camera.id.clone(), wanted, (camera.width_px, camera.height_px));
         for frame in renderer.frames() {
             eye.push(&frame)?;
         }
-        let (tracks, search) = eye.finish();
+        let (tracks, search, still) = eye.finish();
+        if let Some(told) = still.and_then(|still| add_plate(&mut simulated.rig, &camera.id, &still)) {
+            tell_line!("camera {}: {told}", camera.id);
+        }
         let mut score = score_tracks(&camera.id, &tracks, &balls.unwrap_or_default(), pitches);
         score.search = Some(search);
         if let Some(folder) = &args.pictures {

@@ -11,7 +11,8 @@ use super::detecting::DetectingArgs;
 use super::solving::SolvingArgs;
 use crate::capture::{FrameSource, RecordingSource};
 use crate::config::{load_rig, parse_rig};
-use crate::daemon::outfit::eye_of;
+use crate::daemon::outfit::Wanted;
+use crate::daemon::plates::add_plate;
 use crate::daemon::watch::{Pace, Watched, watch_all};
 use crate::export::results;
 use crate::recording::SessionReader;
@@ -72,14 +73,18 @@ impl FromStr for PaceArg {
 /// An unreadable session or rig, no calibration, or frames that were lost (after all results are written).
 pub fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     let session = SessionReader::open(&args.session)?;
-    let rig = rig_of(args, &session)?;
+    let mut rig = rig_of(args, &session)?;
     let sources = sources(&session, &rig)?;
     let progress = bar(sources.iter().map(|s| s.frames_expected()).sum());
     let PaceArg(pace) = args.pace;
     let known = args.solving.calibration()?;
-    let eye = |camera: &CameraId| args.detecting.of(eye_of(&rig, camera, known.as_ref()));
+    let wanted = |camera: &CameraId| {
+        let mut wanted = Wanted::of(&rig, camera, known.as_ref());
+        wanted.eye = args.detecting.of(wanted.eye);
+        wanted
+    };
     let sky = known.as_ref().map(|known| (&rig, known));
-    let watched = watch_all(sources, &eye, pace, sky, &|| progress.inc(1));
+    let watched = watch_all(sources, &wanted, pace, sky, &|| progress.inc(1));
     progress.finish_and_clear();
 
     let mut warnings: Vec<String> = watched.iter().flat_map(|w| w.reasons.iter().cloned()).collect();
@@ -91,13 +96,19 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     let tracks: Vec<Track> = watched.iter().flat_map(|w| w.tracks.iter().cloned()).collect();
     let searches: Vec<_> = watched.iter().filter_map(|w| w.search.clone()).collect();
     results::write_search(&args.solving.out, &searches, &tracks)?;
+    let mut facts = facts(&args.session, &watched);
+    for of_camera in &watched {
+        let still = of_camera.still.as_ref();
+        let told = still.and_then(|still| add_plate(&mut rig, &of_camera.camera, still));
+        facts.extend(told.map(|told| (format!("camera {}", of_camera.camera), told)));
+    }
     let title = if rig.site.name.is_empty() {
         args.session.display().to_string()
     } else {
         rig.site.name.clone()
     };
     args.solving
-        .solve_and_write((&title, &rig), &tracks, &facts(&args.session, &watched), warnings)
+        .solve_and_write((&title, &rig), &tracks, &facts, warnings)
         .with_context(|| format!("{}", args.session.display()))?;
     let unusable: u64 = watched.iter().map(|w| w.unusable).sum();
     if !damage.is_empty() || unusable > 0 {

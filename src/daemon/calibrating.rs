@@ -6,6 +6,8 @@ use std::time::Instant;
 use crossbeam_channel::{Receiver, Sender};
 
 use super::batch::{BatchOptions, solve_tracks};
+use super::plates::add_plate;
+use crate::detection::Still;
 use crate::scene::{Calibration, CameraId, ParameterKind, Rig, Track, WorldFrame};
 use crate::time::is_of_network;
 
@@ -35,11 +37,27 @@ pub struct CalibrationAnswer {
     pub reason: String,
 }
 
-/// The calibration worker's thread: one request at a time, never in the way of a pitch.
-pub fn calibrate(rig: &Rig, requests: &Receiver<CalibrationRequest>, answers: &Sender<CalibrationAnswer>) {
+/// Stills of home plate that may wait: two a camera, and rarely.
+pub const STILLS_QUEUE: usize = 16;
+
+/// The calibration worker's thread: one request at a time, never in the way of a pitch. Where stills show home plate it is one
+/// more landmark.
+pub fn calibrate(
+    mut rig: Rig,
+    (requests, stills): (&Receiver<CalibrationRequest>, &Receiver<(CameraId, Still)>),
+    answers: &Sender<CalibrationAnswer>,
+) {
     for request in requests {
         let begun = Instant::now();
-        let made = solve_tracks(rig, &request.tracks, &BatchOptions::default());
+        for (camera, still) in stills.try_iter() {
+            let told = still
+                .picture()
+                .and_then(|still| add_plate(&mut rig, &camera, &still));
+            if let Some(told) = told {
+                tracing::info!(%camera, "{told}");
+            }
+        }
+        let made = solve_tracks(&rig, &request.tracks, &BatchOptions::default());
         let (calibration, reason) = match made {
             Ok(batch) if batch.calibration.world != WorldFrame::HomePlate => (
                 None,

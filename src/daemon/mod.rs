@@ -15,6 +15,7 @@ pub mod looker;
 pub mod memory_lock;
 pub mod outfit;
 pub mod pipeline;
+pub mod plates;
 pub mod publish;
 pub mod recorder;
 pub mod sky;

@@ -1,13 +1,33 @@
 //! Settings of a camera's eye: what the rig says, and which way pitches go by the pose that is known before any pitch.
 
+use super::plates::still_of;
 use crate::calibration::resection::resect_camera;
+use crate::detection::Still;
 use crate::eye::EyeConfig;
 use crate::geometry::Pose;
 use crate::scene::{Calibration, CameraId, CameraSetup, Motion, Rig, WorldFrame};
 use crate::tracking::pitch_way;
 
+/// What is wanted of a camera's frames.
+pub struct Wanted {
+    /// Balls.
+    pub eye: EyeConfig,
+    /// A still of home plate.
+    pub still: Option<Still>,
+}
+
+impl Wanted {
+    /// Of a camera of the rig; `known` is a calibration that is there already.
+    pub fn of(rig: &Rig, camera: &CameraId, known: Option<&Calibration>) -> Self {
+        Self {
+            eye: eye_of(rig, camera, known),
+            still: still_of(rig, camera),
+        }
+    }
+}
+
 /// The settings for a camera of the rig; `known` is a calibration that is there already.
-pub fn eye_of(rig: &Rig, camera: &CameraId, known: Option<&Calibration>) -> EyeConfig {
+fn eye_of(rig: &Rig, camera: &CameraId, known: Option<&Calibration>) -> EyeConfig {
     let mut eye = EyeConfig::of_rig(rig, camera);
     if rig.site.motion == Motion::Flight
         && let Some(setup) = rig.camera(camera)

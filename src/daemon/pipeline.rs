@@ -16,13 +16,14 @@
 //! | `cap-<id>` | the camera | frames (in place, from its pool) | (1) ¾ of the pool | the frame is dropped, counted as `dropped` |
 //! | `eye-<id>` | frames | balls whose paths have ended | (2) 64 | the ball is lost, counted, logged as an error |
 //! | | | balls in flight | (13) 64 | dropped: the next frame tells again |
+//! | | | stills of home plate, to `calibrate` | (18) 16 | dropped: a better one comes |
 //! | `look-<id>` | balls | tracks of pitched balls | (3) 256 tracks | waits; (2) then loses balls |
 //! | | | what it found, for the eye | (12) 4 | dropped: the next ball tells again |
 //! | `assemble` | tracks, (5) | pitches | (6) 64 pitches | the pitch is not published, logged as an error |
 //! | | | requests | (4) 1 request | asked again with the next pitch |
 //! | | | calibrations | (8) 8, (14) 4 | logged as an error; the calibration is used all the same |
 //! | | | balls to cut out | (11) 16 | the clip is lost, logged as an error |
-//! | `calibrate` | requests | answers | (5) 1 answer | waits |
+//! | `calibrate` | requests, (18) | answers | (5) 1 answer | waits |
 //! | `foresee` | balls in flight | estimates, as lines | (15) 8 lines | the line is dropped, counted |
 //! | | | where each camera will see the ball, to its eye | (17) 1 | it is dropped: the next comes in 10 ms |
 //! | `publish` | pitches | lines | (7) 64 lines | the line is dropped, counted |
@@ -53,7 +54,7 @@ use super::foresee::{Foresee, InFlight};
 use super::health::CameraHealth;
 use super::keep;
 use super::looker::{self, SeenTrack};
-use super::outfit;
+use super::outfit::Wanted;
 use super::publish::{self, PublishHealth};
 use super::recorder::{ClipTrigger, RecordedLive, Recorder, RecorderHealth};
 use super::supervise::Supervisor;
@@ -137,6 +138,7 @@ pub fn start(
     let mut record_configs = Vec::new();
     let record = start_recorder(config, &recorder, (&mut threads, &mut record_configs))?;
     let mut health = Vec::new();
+    let (stills_in, stills) = bounded(calibrating::STILLS_QUEUE);
     let network = PtpDomain::default();
     let (mut captures, mut trackers, mut eyes) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
     for connection in &config.cameras {
@@ -158,9 +160,9 @@ pub fn start(
         captures.push(((name, below(priority, Urgency::Capture)), supervisor));
         let (look_in, look) = bounded(LOOK_QUEUE);
         let (steps_in, steps) = bounded(4);
-        let mut eye = outfit::eye_of(&rig, &connection.id, calibration.as_ref());
-        eye.detector.kind = config.detector;
-        trackers.insert(connection.id.clone(), eye.tracker.clone());
+        let mut wanted = Wanted::of(&rig, &connection.id, calibration.as_ref());
+        wanted.eye.detector.kind = config.detector;
+        trackers.insert(connection.id.clone(), wanted.eye.tracker.clone());
         let (foreseen_in, foreseen) = bounded(1);
         eyes.insert(connection.id.clone(), foreseen_in);
         let channels = EyeChannels {
@@ -168,11 +170,12 @@ pub fn start(
             in_flight: news_in.clone(),
             steps,
             foreseen,
+            stills: stills_in.clone(),
         };
-        let (eye_health, second_eye) = (own.clone(), eye.clone());
+        let (eye_health, second_eye) = (own.clone(), wanted.eye.clone());
         let name = format!("eye-{}", connection.id);
         threads.push(urgent((name, below(priority, Urgency::Eye)), move || {
-            watcher::watch(&frames, &channels, &eye, &eye_health);
+            watcher::watch(&frames, &channels, wanted, &eye_health);
         })?);
         let (look_health, look_tracks) = (own.clone(), tracks_in.clone());
         let name = format!("look-{}", connection.id);
@@ -181,7 +184,7 @@ pub fn start(
         })?);
         health.push(own);
     }
-    drop((tracks_in, news_in));
+    drop((tracks_in, news_in, stills_in));
     let foresee = Foresee {
         rig: rig.clone(),
         trackers,
@@ -211,7 +214,7 @@ pub fn start(
         assembler.run(&tracks, &answers, &plans)
     })?);
     threads.push(named("calibrate".into(), move || {
-        calibrating::calibrate(&rig, &requests, &answers_in);
+        calibrating::calibrate(rig, (&requests, &stills), &answers_in);
     })?);
     threads.push(named("print".into(), move || publish::print(&lines, &estimates))?);
     let publish_health = published.clone();

@@ -7,9 +7,10 @@ use std::time::{Duration, Instant};
 
 use super::histogram::Histogram;
 use super::lockstep::{Lockstep, Seat};
+use super::outfit::Wanted;
 use crate::capture::{FrameGeometry, FrameSource};
-use crate::detection::DetectionError;
-use crate::eye::{CameraEye, EyeConfig};
+use crate::detection::{DetectionError, Still, StillPicture};
+use crate::eye::CameraEye;
 use crate::scene::{Calibration, CameraId, Frame, FrameSearch, Rig, Track, WorldFrame};
 use crate::time::{HostClock, SystemClock};
 
@@ -37,6 +38,8 @@ pub struct Watched {
     pub tracks: Vec<Track>,
     /// What the search cost and left out; `None` where it ended early.
     pub search: Option<FrameSearch>,
+    /// Where home plate is, as it looks most of the time.
+    pub still: Option<StillPicture>,
 }
 
 /// A camera's eye that is timed.
@@ -44,16 +47,19 @@ pub struct TimedEye {
     camera: CameraId,
     rate_hz: f64,
     eye: CameraEye,
+    still: Option<Still>,
     times: Histogram,
 }
 
 impl TimedEye {
     /// An eye for frames of this size.
-    pub fn new(camera: CameraId, config: EyeConfig, (width_px, height_px): (u32, u32)) -> Self {
+    pub fn new(camera: CameraId, wanted: Wanted, (width_px, height_px): (u32, u32)) -> Self {
+        let config = wanted.eye;
         Self {
             rate_hz: config.tracker.frame_rate_hz,
             eye: CameraEye::new(camera.clone(), config, width_px, height_px),
             camera,
+            still: wanted.still,
             times: Histogram::default(),
         }
     }
@@ -66,11 +72,16 @@ impl TimedEye {
         let begun = SystemClock.monotonic().nanos();
         let result = self.eye.push(frame);
         self.times.add_since_ns(begun);
+        if let Some(still) = &mut self.still
+            && still.is_due()
+        {
+            still.take(frame);
+        }
         result
     }
 
-    /// Ends the recording: its pitches in time order, numbered, and what the search cost.
-    pub fn finish(mut self) -> (Vec<Track>, FrameSearch) {
+    /// Ends the recording: its pitches in time order, numbered, what the search cost, and the still.
+    pub fn finish(mut self) -> (Vec<Track>, FrameSearch, Option<StillPicture>) {
         self.eye.finish();
         let mut tracks = self.eye.drain_pitches();
         tracks.sort_by_key(Track::span);
@@ -93,20 +104,20 @@ impl TimedEye {
             candidates_dropped: detector.candidates_dropped,
             overflows: detector.overflows,
         };
-        (tracks, search)
+        (tracks, search, self.still.and_then(|still| still.picture()))
     }
 }
 
 /// Reasons kept per camera; the rest is counted.
 const REASONS_KEPT: usize = 5;
 
-/// Runs every source to its end, one thread a camera, with the settings that `eye` gives for it. With a calibration known
+/// Runs every source to its end, one thread a camera, for what is `wanted` of it. With a calibration known
 /// before, what some cameras see of a ball in flight tells the others where to look.
 ///
 /// `on_frame` is called after each frame, on any thread.
 pub fn watch_all(
     sources: Vec<Box<dyn FrameSource>>,
-    eye: &(dyn Fn(&CameraId) -> EyeConfig + Sync),
+    wanted: &(dyn Fn(&CameraId) -> Wanted + Sync),
     pace: Pace,
     known: Option<(&Rig, &Calibration)>,
     on_frame: &(dyn Fn() + Sync),
@@ -121,12 +132,12 @@ pub fn watch_all(
             .into_iter()
             .map(|source| {
                 let camera = source.camera().clone();
-                let config = eye(&camera);
-                let seat = lockstep.and_then(|lockstep| lockstep.seat(&camera, &config.tracker));
+                let wanted = wanted(&camera);
+                let seat = lockstep.and_then(|lockstep| lockstep.seat(&camera, &wanted.eye.tracker));
                 let thread = std::thread::Builder::new().name(format!("watch-{camera}"));
                 (
                     camera,
-                    thread.spawn_scoped(scope, move || watch(source, config, (pace, seat), on_frame)),
+                    thread.spawn_scoped(scope, move || watch(source, wanted, (pace, seat), on_frame)),
                 )
             })
             .collect();
@@ -150,18 +161,19 @@ fn lost(camera: CameraId, reason: String) -> Watched {
         reasons,
         tracks: Vec::new(),
         search: None,
+        still: None,
     }
 }
 
 fn watch(
     source: Box<dyn FrameSource>,
-    config: EyeConfig,
+    wanted: Wanted,
     (pace, mut seat): (Pace, Option<Seat<'_>>),
     on_frame: &(dyn Fn() + Sync),
 ) -> Watched {
     let FrameGeometry { width_px, height_px } = source.geometry();
     let camera = source.camera().clone();
-    let mut eye = TimedEye::new(camera.clone(), config, (width_px, height_px));
+    let mut eye = TimedEye::new(camera.clone(), wanted, (width_px, height_px));
     let mut watched = lost(camera.clone(), String::new());
     watched.reasons.clear();
     let mut clock = Paced::new(pace);
@@ -190,7 +202,8 @@ fn watch(
         }
     }
     drop(seat);
-    let (tracks, search) = eye.finish();
+    let (tracks, search, still) = eye.finish();
+    watched.still = still;
     watched.tracks = tracks;
     watched.search = Some(search);
     watched

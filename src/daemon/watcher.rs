@@ -11,8 +11,11 @@ use crossbeam_channel::{Receiver, Sender};
 use super::foresee::{ForeseenBall, InFlight};
 use super::health::CameraHealth;
 use super::looker::{BallToLookAt, ToLook};
+use super::outfit::Wanted;
 use crate::capture::aravis::LiveFrame;
+use crate::detection::{Still, UnpackedFrames};
 use crate::eye::{BallStep, EndedBall, EyeConfig, FirstLook};
+use crate::scene::{CameraId, RawFrame};
 use crate::time::{ArrivalTime, ClockLine, StampedMidpoint};
 use crate::tracking::OpenPath;
 
@@ -26,6 +29,8 @@ pub struct EyeChannels {
     pub steps: Receiver<BallStep>,
     /// Where this camera will see a ball in flight.
     pub foreseen: Receiver<ForeseenBall>,
+    /// Stills of home plate, to where calibrations are made.
+    pub stills: Sender<(CameraId, Still)>,
 }
 
 /// Places in the queue to the second look that are kept for balls: news of how far has been watched may be missed.
@@ -35,10 +40,13 @@ const PLACES_FOR_BALLS: usize = 48;
 pub fn watch(
     frames: &Receiver<LiveFrame>,
     channels: &EyeChannels,
-    eye: &EyeConfig,
+    wanted: Wanted,
     health: &Arc<CameraHealth>,
 ) {
+    let Wanted { eye, still } = wanted;
     let mut watcher = Watcher {
+        still,
+        unpacked: UnpackedFrames::default(),
         channels,
         health,
         watching: None,
@@ -49,12 +57,15 @@ pub fn watch(
         in_flight: false,
     };
     for live in frames {
-        watcher.take(&live, eye);
+        watcher.take(&live, &eye);
     }
     watcher.end_window();
 }
 
 struct Watcher<'a> {
+    /// Of home plate; of packed frames an image is made for it.
+    still: Option<Still>,
+    unpacked: UnpackedFrames,
     channels: &'a EyeChannels,
     health: &'a CameraHealth,
     /// The eye, and the epoch of the clock that its frames are stamped by.
@@ -88,6 +99,7 @@ impl Watcher<'_> {
         self.clock = live.clock.or(self.clock);
         self.stamp_sigma_s = live.stamp_sigma_s;
         self.last_arrival = frame.stamp.arrival.unwrap_or(self.last_arrival);
+        self.take_still(frame);
         let (eye, _) = self.watching.get_or_insert_with(|| {
             let camera = self.health.camera.clone();
             let new = FirstLook::new(camera, config, frame.width_px, frame.height_px);
@@ -120,6 +132,20 @@ impl Watcher<'_> {
         }
         self.hand_on();
         self.tell_how_far(follows);
+    }
+
+    /// Home plate as it looks most of the time is told of when twice as many frames have been seen as the last time.
+    fn take_still(&mut self, frame: &RawFrame) {
+        let Some(still) = &mut self.still else { return };
+        if !still.is_due() {
+            return;
+        }
+        let image = frame.mono8().or_else(|| self.unpacked.image(frame));
+        if image.is_some_and(|image| still.take(&image)) {
+            // Only a help: the next one says more.
+            let told = (self.health.camera.clone(), still.clone());
+            let _ = self.channels.stills.try_send(told);
+        }
     }
 
     /// Tracks do not cross a break of the clock: their stamps would not fit each other. What the eye knows of the picture

@@ -95,6 +95,10 @@ fn rig_text(rig: &Rig) -> String {
                 "[[camera.landmark]]\nname = \"{}\"\npixel_px = [{:.4}, {:.4}]\nsigma_px = {:?}",
                 landmark.name, landmark.pixel.x, landmark.pixel.y, landmark.sigma_px
             );
+            let at = landmark.position.world_m;
+            if rig.site.field.landmark(&landmark.name).ok() != Some(at) {
+                let _ = writeln!(out, "world_m = [{:?}, {:?}, {:?}]", at.x, at.y, at.z);
+            }
         }
     }
     out

@@ -1,0 +1,579 @@
+//! Home plate in a still picture: where its middle is seen, to a tenth of a pixel.
+//!
+//! A person's click is good to half a pixel, and what is left after all clicks shifts every pitch of a session alike: by 1 mm
+//! (three cameras) or 3 mm (two opposite ones) at the plate. The plate itself is white, of known shape, and what pitches
+//! are called against. So its picture, as the camera's pose by the clicks foretells it, is laid over the still
+//! and moved to where it fits: ground of an even or sloping level, the plate's level, chalk lines where the rules have them, a
+//! blur. Gauss–Newton with Tukey's weights, for feet and dust hide parts of it.
+
+use nalgebra::{Point3, SMatrix, SVector, Vector2, Vector3};
+
+use super::still::Picture;
+use crate::geometry::{Intrinsics, Pixel, Pose};
+use crate::scene::{FieldPreset, PixelRect};
+
+/// Pixels beside the plate that are looked at, and so many more that are kept of the picture.
+const BESIDE_PX: i32 = 3;
+const MARGIN_PX: f64 = 10.0;
+/// The largest part of a picture that is looked at, and the smallest plate, pixels.
+const PART_MAX_PX: u32 = 600;
+const PLATE_MIN_PX: f64 = 12.0;
+/// Samples of the foretold picture to a pixel's side.
+const FINE: usize = 6;
+/// ... and places of four within each (rotated grid).
+const SAMPLES: [(f64, f64); 4] = [(-0.125, -0.375), (0.375, -0.125), (-0.375, 0.125), (0.125, 0.375)];
+/// Blurs that are tried, σ in pixels.
+const BLURS_PX: [f64; 6] = [0.35, 0.5, 0.65, 0.8, 1.0, 1.3];
+/// The plate is no further from where the clicks say, pixels.
+const SHIFT_MAX_PX: f64 = 1.6;
+/// Where the fit is begun besides there: all that end well must agree to this.
+const BEGUN_PX: f64 = 0.9;
+const AGREE_PX: f64 = 0.2;
+const AGREE_COST: f64 = 1.15;
+/// It is so much brighter than the ground, levels, and than so many times what is left unexplained.
+const CONTRAST_MIN: f64 = 25.0;
+const CONTRAST_SIGMAS: f64 = 6.0;
+/// Pixels further off than this many σ have no say (Tukey).
+const TUKEY_SIGMAS: f64 = 4.685;
+/// What is unexplained is no less than this share of the contrast.
+const UNEXPLAINED_MIN: f64 = 0.01;
+/// This share of the pixels on the plate, and beside it, must have a say.
+const SAY_MIN: f64 = 0.6;
+/// What is unexplained is alike in neighbouring pixels: σ counts so many times.
+const ALIKE: f64 = 2.0;
+/// σ of a plate's place at least, and the largest that is of use, pixels.
+const SIGMA_PX: [f64; 2] = [0.1, 0.4];
+const STEPS: usize = 25;
+
+/// Shift, level of the plate and of chalk over the ground's, the ground's level and slopes.
+const PARAMETERS: usize = 7;
+type Parameters = SVector<f64, PARAMETERS>;
+type Information = SMatrix<f64, PARAMETERS, PARAMETERS>;
+
+/// Home plate as a camera sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlateSeen {
+    /// Where the middle of its square (0, 0.216, 0) is seen.
+    pub middle: Pixel,
+    /// σ per axis, pixels.
+    pub sigma_px: f64,
+    /// From where the pose puts it to there, pixels.
+    pub shift_px: Vector2<f64>,
+}
+
+/// The middle of the plate's square, metres.
+pub fn plate_middle() -> Point3<f64> {
+    Point3::new(0.0, half_plate_m(), 0.0)
+}
+
+fn half_plate_m() -> f64 {
+    let corner = FieldPreset::default().landmark("plate_right");
+    corner.map_or(0.0, |corner| corner.x)
+}
+
+/// The part of a camera's picture with home plate in it; `None` where it is not in view, or too small.
+pub fn plate_place(lens: &Intrinsics, pose: &Pose, (width_px, height_px): (u32, u32)) -> Option<PixelRect> {
+    let half = half_plate_m();
+    let corners = [
+        (0.0, 0.0),
+        (-half, half),
+        (half, half),
+        (-half, 2.0 * half),
+        (half, 2.0 * half),
+    ];
+    let mut low = Vector2::repeat(f64::INFINITY);
+    let mut high = -low;
+    for (x, y) in corners {
+        let seen = lens
+            .project(&pose.transform(&Point3::new(x, y, 0.0)))
+            .ok()?
+            .vector();
+        (low, high) = (low.inf(&seen), high.sup(&seen));
+    }
+    if (high - low).amax() < PLATE_MIN_PX {
+        return None;
+    }
+    let (low, high) = (low.add_scalar(-MARGIN_PX), high.add_scalar(MARGIN_PX));
+    let inside = low.min() >= 0.0 && high.x < f64::from(width_px) && high.y < f64::from(height_px);
+    let size = high - low;
+    (inside && size.amax() < f64::from(PART_MAX_PX)).then(|| PixelRect {
+        x_px: low.x as u32,
+        y_px: low.y as u32,
+        width_px: size.x.ceil() as u32,
+        height_px: size.y.ceil() as u32,
+    })
+}
+
+/// Seeks home plate in a still of [`plate_place`]; `None` where the picture does not show it for sure.
+pub fn seek_plate(still: &Picture, lens: &Intrinsics, pose: &Pose) -> Option<PlateSeen> {
+    let foretold = Foretold::new(still.place, lens, pose)?;
+    let mut best: Option<Fit> = None;
+    for blur_px in BLURS_PX {
+        let fit = Fitting::new(still, foretold.blurred(blur_px))?.from(Vector2::zeros());
+        if let Some(fit) = fit.filter(|fit| best.as_ref().is_none_or(|best| fit.cost < best.cost)) {
+            best = Some(Fit { blur_px, ..fit });
+        }
+    }
+    let mut best = best?;
+    let fitting = Fitting::new(still, foretold.blurred(best.blur_px))?;
+    let begins = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)];
+    let mut others = Vec::new();
+    for (x, y) in begins {
+        others.extend(fitting.from(Vector2::new(x, y) * BEGUN_PX));
+    }
+    for other in &others {
+        if other.cost < best.cost {
+            best = Fit {
+                blur_px: best.blur_px,
+                ..*other
+            };
+        }
+    }
+    let rivals = others.iter().filter(|other| other.cost < AGREE_COST * best.cost);
+    let agree = rivals
+        .clone()
+        .all(|rival| (rival.shift() - best.shift()).norm() < AGREE_PX);
+    tracing::debug!(?best, agree, "home plate");
+    let middle = lens.project(&pose.transform(&plate_middle())).ok()?.vector() + best.shift();
+    (agree && best.is_plate()).then(|| PlateSeen {
+        middle: Pixel::new(middle.x, middle.y),
+        sigma_px: best.sigma_px.max(SIGMA_PX[0]),
+        shift_px: best.shift(),
+    })
+}
+
+/// How much of each fine sample is plate, and how much chalk, as the pose foretells it.
+struct Foretold {
+    columns: usize,
+    layers: [Vec<f32>; 2],
+}
+
+impl Foretold {
+    fn new(place: PixelRect, lens: &Intrinsics, pose: &Pose) -> Option<Self> {
+        let (width, height) = (place.width_px as usize, place.height_px as usize);
+        // Where the ground is seen at the pixels' corners; within a pixel it is straight enough.
+        let from = pose.centre_m();
+        let mut corners = Vec::with_capacity((width + 1) * (height + 1));
+        let corner = |first: u32, index: usize| f64::from(first) - 0.5 + index as f64;
+        for row in 0..=height {
+            for column in 0..=width {
+                let seen = lens.direction(Pixel::new(corner(place.x_px, column), corner(place.y_px, row)));
+                let seen = seen.ok()?;
+                let along = pose.rotation.inverse() * Vector3::new(seen.x, seen.y, 1.0);
+                let far = -from.z / along.z;
+                if !(far > 0.0) {
+                    return None;
+                }
+                corners.push((from + along * far).xy().coords);
+            }
+        }
+        let ground = |x: f64, y: f64| {
+            let (column, row) = ((x as usize).min(width - 1), (y as usize).min(height - 1));
+            let (s, t) = (x - column as f64, y - row as f64);
+            let at = |dx: usize, dy: usize| corners.get((row + dy) * (width + 1) + column + dx).copied();
+            let (a, b, c, d) = (at(0, 0)?, at(1, 0)?, at(0, 1)?, at(1, 1)?);
+            Some((a * (1.0 - s) + b * s) * (1.0 - t) + (c * (1.0 - s) + d * s) * t)
+        };
+        let columns = FINE * width;
+        let mut layers = [0, 1].map(|_| Vec::with_capacity(columns * FINE * height));
+        let fine = |index: usize, within: f64| (index as f64 + 0.5 + within) / FINE as f64;
+        for row in 0..FINE * height {
+            for column in 0..columns {
+                let mut sums = [0.0; 2];
+                for (dx, dy) in SAMPLES {
+                    let at = ground(fine(column, dx), fine(row, dy))?;
+                    sums[0] += f32::from(u8::from(is_plate(at.x, at.y)));
+                    sums[1] += f32::from(u8::from(is_chalk(at.x, at.y)));
+                }
+                for (layer, sum) in layers.iter_mut().zip(sums) {
+                    layer.push(sum / SAMPLES.len() as f32);
+                }
+            }
+        }
+        Some(Self { columns, layers })
+    }
+
+    /// As a lens of this blur and pixels of an area see it.
+    fn blurred(&self, blur_px: f64) -> [Fine; 2] {
+        let kernel = kernel(blur_px);
+        [0, 1].map(|layer| Fine {
+            columns: self.columns,
+            values: smooth(&self.layers[layer], self.columns, &kernel),
+        })
+    }
+}
+
+fn is_plate(x: f64, y: f64) -> bool {
+    let half = half_plate_m();
+    x.abs() <= half && y <= 2.0 * half && y >= x.abs()
+}
+
+/// The lines of the batter's boxes, four inches wide within their outer edges.
+fn is_chalk(x: f64, y: f64) -> bool {
+    const INNER_M: f64 = 0.3683;
+    const OUTER_M: f64 = 1.5875;
+    const ENDS_M: [f64; 2] = [-0.6985, 1.1303];
+    const LINE_M: f64 = 0.1016;
+    let inside = (x.abs() - INNER_M)
+        .min(OUTER_M - x.abs())
+        .min(y - ENDS_M[0])
+        .min(ENDS_M[1] - y);
+    (0.0..=LINE_M).contains(&inside)
+}
+
+/// A Gaussian over a pixel's width, in fine samples: the middle first.
+fn kernel(blur_px: f64) -> Vec<f32> {
+    let sigma = blur_px * FINE as f64;
+    let reach = (3.5 * sigma).ceil() as usize + FINE;
+    let weight = |at: usize| -> f64 {
+        // The pixel's own width, sample by sample.
+        let parts = (0..FINE).map(|part| at as f64 + part as f64 - 0.5 * (FINE as f64 - 1.0));
+        parts.map(|off| (-0.5 * (off / sigma).powi(2)).exp()).sum()
+    };
+    let half: Vec<f64> = (0..=reach).map(weight).collect();
+    let total = half.iter().sum::<f64>() * 2.0 - half.first().copied().unwrap_or(0.0);
+    half.iter().map(|weight| (weight / total) as f32).collect()
+}
+
+/// Rows, then columns, with a kernel that is alike on both sides; beyond the edge is what is at it.
+fn smooth(values: &[f32], columns: usize, kernel: &[f32]) -> Vec<f32> {
+    let columns = columns.max(1);
+    let rows = values.len() / columns;
+    let pass = |from: &[f32], count: usize, step: usize, lines: usize, stride: usize| {
+        let mut to = vec![0.0; from.len()];
+        for line in 0..lines {
+            for at in 0..count {
+                let value = |at: usize| from.get(line * stride + at * step).copied().unwrap_or(0.0);
+                let mut sum = 0.0;
+                for (off, weight) in kernel.iter().enumerate() {
+                    let (before, after) = (at.saturating_sub(off), (at + off).min(count - 1));
+                    let both = if off == 0 {
+                        value(at)
+                    } else {
+                        value(before) + value(after)
+                    };
+                    sum += weight * both;
+                }
+                if let Some(slot) = to.get_mut(line * stride + at * step) {
+                    *slot = sum;
+                }
+            }
+        }
+        to
+    };
+    let across = pass(values, columns, 1, rows, columns);
+    pass(&across, rows, columns, columns, 1)
+}
+
+/// A foretold layer, blurred, in fine samples.
+struct Fine {
+    columns: usize,
+    values: Vec<f32>,
+}
+
+impl Fine {
+    /// At a place of the part, pixels from the centre of its first: value and slopes.
+    fn at(&self, x: f64, y: f64) -> [f64; 3] {
+        let place = |at: f64| (at + 0.5) * FINE as f64 - 0.5;
+        let (u, v) = (place(x), place(y));
+        let (column, row) = (u.floor(), v.floor());
+        let (s, t) = (u - column, v - row);
+        let value = |dx: f64, dy: f64| {
+            let rows = (self.values.len() / self.columns.max(1)) as f64;
+            let column = (column + dx).clamp(0.0, self.columns as f64 - 1.0) as usize;
+            let row = (row + dy).clamp(0.0, rows - 1.0) as usize;
+            f64::from(
+                self.values
+                    .get(row * self.columns + column)
+                    .copied()
+                    .unwrap_or(0.0),
+            )
+        };
+        let (a, b, c, d) = (value(0.0, 0.0), value(1.0, 0.0), value(0.0, 1.0), value(1.0, 1.0));
+        let scale = FINE as f64;
+        [
+            (a * (1.0 - s) + b * s) * (1.0 - t) + (c * (1.0 - s) + d * s) * t,
+            scale * ((b - a) * (1.0 - t) + (d - c) * t),
+            scale * ((c - a) * (1.0 - s) + (d - b) * s),
+        ]
+    }
+}
+
+/// One pixel of the still: place in the part, level, and whether the plate is foretold there.
+struct Seen {
+    at: Vector2<f64>,
+    level: f64,
+    on_plate: bool,
+}
+
+struct Fitting {
+    layers: [Fine; 2],
+    pixels: Vec<Seen>,
+    middle: Vector2<f64>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Fit {
+    values: Parameters,
+    blur_px: f64,
+    /// Tukey's, over that of pixels that have no say.
+    cost: f64,
+    unexplained: f64,
+    sigma_px: f64,
+    /// Of the pixels on the plate and of those beside it.
+    say: [f64; 2],
+}
+
+impl Fit {
+    fn shift(&self) -> Vector2<f64> {
+        self.values.fixed_rows::<2>(0).into_owned()
+    }
+
+    fn is_plate(&self) -> bool {
+        self.shift().norm() < SHIFT_MAX_PX
+            && self.sigma_px < SIGMA_PX[1]
+            && self.values[2] > CONTRAST_MIN.max(CONTRAST_SIGMAS * self.unexplained)
+            && self.say.iter().all(|say| *say > SAY_MIN)
+    }
+}
+
+impl Fitting {
+    fn new(still: &Picture, layers: [Fine; 2]) -> Option<Self> {
+        let plate = &layers[0];
+        let near = |x: u32, y: u32| {
+            let steps = || -BESIDE_PX..=BESIDE_PX;
+            steps().any(|dy| {
+                steps()
+                    .any(|dx| plate.at(f64::from(x) + f64::from(dx), f64::from(y) + f64::from(dy))[0] > 0.02)
+            })
+        };
+        let mut pixels = Vec::new();
+        for y in 0..still.place.height_px {
+            for x in (0..still.place.width_px).filter(|x| near(*x, y)) {
+                let level = still.at(still.place.x_px + x, still.place.y_px + y)?;
+                let at = Vector2::new(f64::from(x), f64::from(y));
+                pixels.push(Seen {
+                    at,
+                    level: f64::from(level),
+                    on_plate: plate.at(at.x, at.y)[0] > 0.5,
+                });
+            }
+        }
+        let middle = pixels.iter().map(|p| p.at).sum::<Vector2<f64>>() / pixels.len().max(1) as f64;
+        (pixels.len() > 4 * PARAMETERS).then_some(Self {
+            layers,
+            pixels,
+            middle,
+        })
+    }
+
+    /// A pixel's model and its derivatives.
+    fn model(&self, seen: &Seen, values: &Parameters) -> (f64, Parameters) {
+        let place = seen.at - values.fixed_rows::<2>(0);
+        let [plate, plate_x, plate_y] = self.layers[0].at(place.x, place.y);
+        let [chalk, chalk_x, chalk_y] = self.layers[1].at(place.x, place.y);
+        let off = 0.1 * (seen.at - self.middle);
+        let model = values[2] * plate + values[3] * chalk + values[4] + values[5] * off.x + values[6] * off.y;
+        let slopes = [
+            -(values[2] * plate_x + values[3] * chalk_x),
+            -(values[2] * plate_y + values[3] * chalk_y),
+            plate,
+            chalk,
+            1.0,
+            off.x,
+            off.y,
+        ];
+        (model, Parameters::from(slopes))
+    }
+
+    /// The fit from a shift on.
+    fn from(&self, shift: Vector2<f64>) -> Option<Fit> {
+        let mut values = Parameters::zeros();
+        values.fixed_rows_mut::<2>(0).copy_from(&shift);
+        // Levels first, as if all were in view.
+        let [on, off] = [true, false].map(|on| {
+            let levels = self
+                .pixels
+                .iter()
+                .filter(|seen| seen.on_plate == on)
+                .map(|seen| seen.level);
+            median(levels.collect())
+        });
+        (values[2], values[4]) = (on? - off?, off?);
+        let mut scale = f64::INFINITY;
+        let mut state = None;
+        for step in 0..STEPS {
+            let looks: Vec<(f64, Parameters)> =
+                self.pixels.iter().map(|seen| self.model(seen, &values)).collect();
+            let residuals: Vec<f64> = self
+                .pixels
+                .iter()
+                .zip(&looks)
+                .map(|(seen, (model, _))| seen.level - model)
+                .collect();
+            let unexplained = 1.4826 * median(residuals.iter().map(|r| r.abs()).collect())?;
+            let floor = UNEXPLAINED_MIN * values[2].abs();
+            // What is unexplained only falls, or the weights would follow what they leave out.
+            scale = f64::min(scale, unexplained.max(floor).max(0.3));
+            let mut information = Information::identity() * 1e-9;
+            // Chalk is often worn away: none, unless the picture says so.
+            information[(3, 3)] += 1e-4;
+            let mut gradient = Parameters::zeros();
+            gradient[3] -= 1e-4 * values[3];
+            let (mut cost, mut says) = (0.0, [[0.0; 2]; 2]);
+            for ((seen, (_, slopes)), residual) in self.pixels.iter().zip(&looks).zip(&residuals) {
+                let share = 1.0 - (residual / (TUKEY_SIGMAS * scale)).powi(2);
+                let say = share.max(0.0).powi(2);
+                cost += 1.0 - share.max(0.0).powi(3);
+                says[usize::from(!seen.on_plate)][0] += f64::from(u8::from(say > 0.25));
+                says[usize::from(!seen.on_plate)][1] += 1.0;
+                information += slopes * slopes.transpose() * say;
+                gradient += slopes * (residual * say);
+            }
+            let factor = information.cholesky()?;
+            let mut change = factor.solve(&gradient);
+            let far = change.fixed_rows::<2>(0).norm();
+            if far > 0.4 {
+                change *= 0.4 / far;
+            }
+            let covariance = factor.inverse() * (ALIKE * scale).powi(2);
+            state = Some(Fit {
+                values,
+                blur_px: 0.0,
+                cost: cost * scale * scale,
+                unexplained: scale,
+                sigma_px: covariance[(0, 0)].max(covariance[(1, 1)]).sqrt(),
+                say: says.map(|[kept, all]| kept / f64::max(all, 1.0)),
+            });
+            values += change;
+            if values.fixed_rows::<2>(0).norm() > 2.0 * SHIFT_MAX_PX || !values.iter().all(|v| v.is_finite())
+            {
+                return None;
+            }
+            if step > 5 && far < 1e-4 {
+                break;
+            }
+        }
+        state
+    }
+}
+
+fn median(mut values: Vec<f64>) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::{Rng, SeedableRng};
+    use rand_pcg::Pcg64Mcg;
+
+    use super::*;
+
+    const SIZE: (u32, u32) = (2048, 1024);
+
+    fn lens() -> Intrinsics {
+        Intrinsics {
+            fx_px: 1800.0,
+            fy_px: 1800.0,
+            cx_px: 1031.0,
+            cy_px: 505.0,
+            distortion: [-0.083, 0.021, 0.0004, -0.0003, 0.0],
+        }
+    }
+
+    fn poses() -> [Pose; 3] {
+        let at = |x, y, z| Pose::looking_at(Point3::new(x, y, z), Point3::new(0.0, 8.0, 0.9));
+        [at(20.0, 6.2, 2.1), at(-19.0, 7.4, 4.0), at(1.4, -15.5, 8.2)]
+    }
+
+    /// A still of the plate as a pose sees it.
+    fn paint(pose: &Pose, place: PixelRect, seed: u64, hide: impl Fn(f64, f64) -> Option<f64>) -> Picture {
+        let mut random = Pcg64Mcg::seed_from_u64(seed);
+        let from = pose.centre_m();
+        let level = |x: f64, y: f64| {
+            let seen = lens().direction(Pixel::new(x, y)).unwrap();
+            let along = pose.rotation.inverse() * Vector3::new(seen.x, seen.y, 1.0);
+            let ground = from + along * (-from.z / along.z);
+            hide(ground.x, ground.y).unwrap_or(if is_plate(ground.x, ground.y) {
+                225.0
+            } else {
+                110.0 + 3.0 * ground.x
+            })
+        };
+        // Fine samples whose steps are no part of the estimator's, each seen once.
+        const FINE: f64 = 8.7;
+        let fine = |index: u32, first: u32| f64::from(first) - 3.0 + (f64::from(index) + 0.37) / FINE;
+        let count = |pixels: u32| (FINE * (f64::from(pixels) + 5.0)) as u32;
+        let (columns, rows) = (count(place.width_px), count(place.height_px));
+        let samples: Vec<f64> = (0..rows)
+            .flat_map(|row| (0..columns).map(move |column| (column, row)))
+            .map(|(column, row)| level(fine(column, place.x_px), fine(row, place.y_px)))
+            .collect();
+        // A pixel of area 1 behind a blur of 0.6 px is nearly a Gaussian of σ² = 0.36 + 1/12.
+        let weights = |at: u32, first: u32, count: u32| -> Vec<(u32, f64)> {
+            let near = (0..count).map(|index| (index, fine(index, first) - f64::from(at)));
+            let near = near.filter(|(_, off)| off.abs() < 2.2);
+            near.map(|(index, off)| (index, (-0.5 * off * off / (0.36 + 1.0 / 12.0)).exp()))
+                .collect()
+        };
+        let mut levels = Vec::new();
+        for y in place.y_px..place.y_px + place.height_px {
+            let down = weights(y, place.y_px, rows);
+            for x in place.x_px..place.x_px + place.width_px {
+                let (mut sum, mut weight) = (0.0, 0.0);
+                let across = weights(x, place.x_px, columns);
+                for (row, by_row) in &down {
+                    for (column, by_column) in &across {
+                        sum += by_row * by_column * samples[(row * columns + column) as usize];
+                        weight += by_row * by_column;
+                    }
+                }
+                levels.push((sum / weight + random.random_range(-2.0..2.0)) as f32);
+            }
+        }
+        Picture { place, levels }
+    }
+
+    #[test]
+    fn the_plate_is_found_where_it_is() {
+        for (number, pose) in poses().iter().enumerate() {
+            // The pose by the clicks is off by half a pixel this way and that.
+            let off = pose.perturbed(&[2e-4, -3e-4, 0.0, 0.0, 0.0, 0.0]);
+            let place = plate_place(&lens(), &off, SIZE).unwrap();
+            let still = paint(pose, place, number as u64, |_, _| None);
+            let found = seek_plate(&still, &lens(), &off).unwrap();
+            let truth = lens().project(&pose.transform(&plate_middle())).unwrap();
+            let error = found.middle.vector() - truth.vector();
+            assert!(found.shift_px.norm() > 0.25, "{:?}", found.shift_px);
+            assert!(error.norm() < 0.06, "camera {number}: {error:?}");
+            assert!(found.sigma_px < 0.2);
+        }
+    }
+
+    #[test]
+    fn a_foot_on_the_plate_does_not_move_it() {
+        let pose = poses()[2];
+        let place = plate_place(&lens(), &pose, SIZE).unwrap();
+        let foot = |x: f64, y: f64| ((x - 0.2).hypot(y - 0.3) < 0.11).then_some(40.0);
+        let found = seek_plate(&paint(&pose, place, 7, foot), &lens(), &pose).unwrap();
+        assert!(found.shift_px.norm() < 0.1, "{:?}", found.shift_px);
+    }
+
+    #[test]
+    fn what_is_no_plate_is_none() {
+        for (number, pose) in poses().iter().enumerate() {
+            let place = plate_place(&lens(), pose, SIZE).unwrap();
+            let bare = paint(pose, place, number as u64, |_, _| Some(120.0));
+            assert_eq!(seek_plate(&bare, &lens(), pose), None);
+            // Most of it is hidden.
+            let hidden = paint(pose, place, number as u64, |_, y| (y > 0.12).then_some(60.0));
+            assert_eq!(seek_plate(&hidden, &lens(), pose), None, "camera {number}");
+            // A square twice as large.
+            let large = paint(pose, place, number as u64, |x, y| {
+                (x.abs() < 0.4 && (-0.2..0.7).contains(&y)).then_some(225.0)
+            });
+            assert_eq!(seek_plate(&large, &lens(), pose), None, "camera {number}");
+        }
+    }
+}
