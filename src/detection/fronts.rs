@@ -12,6 +12,8 @@ pub const ROW_STEP: usize = 2;
 /// Fewest and most pixels beside a place whose range is taken.
 const REACH_MIN_PX: usize = 2;
 const REACH_MAX_PX: usize = 4;
+/// Of the places beside one every second is enough where [`SOME`] rows are.
+const PLACE_STEP: usize = 2;
 /// Rows read of a tile.
 pub const ROWS: usize = TILE_HEIGHT_PX / ROW_STEP;
 /// Columns of a tile with those in reach, and some more for whole vectors.
@@ -49,6 +51,25 @@ struct Rows {
     count: usize,
     step: usize,
 }
+
+/// The rows of a tile that are read, counted from its first.
+const OWN: Rows = Rows {
+    above: 0,
+    count: ROWS,
+    step: ROW_STEP,
+};
+/// Those whose range is taken: they, and the next ones above and below.
+const ABOUT: Rows = Rows {
+    above: ROW_STEP,
+    count: ROWS + 2,
+    step: ROW_STEP,
+};
+/// Every second of them: most tiles need no others, and each of a wide image is in another page.
+const SOME: Rows = Rows {
+    above: 0,
+    count: ROWS / 2 + 1,
+    step: 2 * ROW_STEP,
+};
 
 /// Rows of an image, `WIDTH` columns from a place on, where the image has them all.
 #[inline(always)]
@@ -127,11 +148,11 @@ fn row_about<const REACH: usize, const WIDTH: usize>(
     range
 }
 
-/// The range of the places within `REACH` of each of a tile's columns, the first of which is number `REACH`.
+/// The range of every `STEP`th of the places within `REACH` of each of a tile's columns, the first of which is number `REACH`.
 #[inline(always)]
-fn widened<const REACH: usize>([lows, highs]: &Range<Wide>) -> Range<Piece> {
+fn widened<const REACH: usize, const STEP: usize>([lows, highs]: &Range<Wide>) -> Range<Piece> {
     let mut range = nothing();
-    for from in 0..=2 * REACH {
+    for from in (0..2 * REACH / STEP + 1).map(|step| step * STEP) {
         let piece = |of: &Wide| -> Option<Piece> { of.get(from..from + TILE_WIDTH_PX)?.try_into().ok() };
         if let (Some(lows), Some(highs)) = (piece(lows), piece(highs)) {
             widen(&mut range, &[lows, highs]);
@@ -185,26 +206,18 @@ fn rows_within<const REACH: usize>(
     threshold: u8,
 ) -> u8 {
     let (top, left) = (band * TILE_HEIGHT_PX, column * TILE_WIDTH_PX);
-    // The tile's rows, and the next ones above and below.
-    let about = Rows {
-        above: ROW_STEP,
-        count: ROWS + 2,
-        step: ROW_STEP,
-    };
-    let range = widened::<REACH>(&range_about::<REACH>((one, other), size_px, (top, left), about));
-    let own = Rows {
-        above: 0,
-        count: ROWS,
-        step: ROW_STEP,
-    };
-    if let Some(block) = block::<TILE_WIDTH_PX>(current, size_px, (top, left), own) {
-        // All together first: in most tiles there is nothing.
+    let about = |rows| range_about::<REACH>((one, other), size_px, (top, left), rows);
+    if let Some(block) = block::<TILE_WIDTH_PX>(current, size_px, (top, left), OWN) {
+        // All together first, and against a part of the places: in most tiles there is nothing, and what the levels of some
+        // places hold those of all hold too.
         let mut levels = nothing();
         widen_by_rows(&mut levels, block, (ROWS, ROW_STEP * size_px.0));
+        let range = widened::<REACH, PLACE_STEP>(&about(SOME));
         if !any_above(&beyond(&levels, &range), threshold) {
             return 0;
         }
     }
+    let range = widened::<REACH, 1>(&about(ABOUT));
     let mut found = 0;
     for row in 0..ROWS {
         let levels = row_about::<0, TILE_WIDTH_PX>(current, size_px, (top + ROW_STEP * row, left));
@@ -243,13 +256,13 @@ fn changes_within<const REACH: usize>(
         count: 2 * REACH + 1,
         step: 1,
     };
-    let range = widened::<REACH>(&range_about::<REACH>((one, other), size_px, (y, left), about));
+    let range = widened::<REACH, 1>(&range_about::<REACH>((one, other), size_px, (y, left), about));
     let levels = row_about::<0, TILE_WIDTH_PX>(current, size_px, (y, left));
     beyond(&levels, &range)
 }
 
-/// Asks for the memory that [`rows_in_front`] reads of a tile, but for the rows above and below, which are of other tiles as
-/// a rule; of one that is at `beside`, the place beside the tile asked for before, only what that one has not.
+/// Asks for the memory that [`rows_in_front`] reads of most tiles, but for the row below, which is of another tile as a rule; of
+/// one that is at `beside`, the place beside the tile asked for before, only what that one has not.
 #[inline(always)]
 pub fn fetch_tile(
     (current, one, other): (&[u8], &[u8], &[u8]),
@@ -258,11 +271,11 @@ pub fn fetch_tile(
     beside: Option<(usize, usize)>,
 ) {
     let begin = (band * TILE_HEIGHT_PX * width_px + column * TILE_WIDTH_PX).saturating_sub(REACH_MAX_PX);
-    for image in [current, one, other] {
+    for (image, step) in [(current, ROW_STEP), (one, SOME.step), (other, SOME.step)] {
         let Some(rows) = image.get(begin..) else { continue };
         // Rows are whole lines apart as a rule: all of them end in the line they begin in, or none does.
         let ends_in_next = rows.as_ptr().addr() % LINE_BYTES + LOOKED_PX > LINE_BYTES;
-        for at in (0..ROWS).map(|row| row * ROW_STEP * width_px) {
+        for at in (0..TILE_HEIGHT_PX).step_by(step).map(|row| row * width_px) {
             if beside != Some((band, column)) {
                 fetch_further(rows, at);
             }
