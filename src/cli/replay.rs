@@ -97,10 +97,15 @@ pub fn run(args: &ReplayArgs) -> anyhow::Result<()> {
     let searches: Vec<_> = watched.iter().filter_map(|w| w.search.clone()).collect();
     results::write_search(&args.solving.out, &searches, &tracks)?;
     let mut facts = facts(&args.session, &watched);
-    for of_camera in &watched {
-        let still = of_camera.still.as_ref();
-        let told = still.and_then(|still| add_plate(&mut rig, &of_camera.camera, still));
-        facts.extend(told.map(|told| (format!("camera {}", of_camera.camera), told)));
+    // With a calibration given nothing is told by landmarks.
+    for of_camera in watched.iter().filter(|_| known.is_none()) {
+        let camera = &of_camera.camera;
+        if let Some(still) = &of_camera.still {
+            let told = add_plate(&mut rig, camera, still);
+            let told = told
+                .unwrap_or_else(|| "home plate not seen: hidden, or not where the clicks put it".to_owned());
+            facts.push((format!("camera {camera}"), told));
+        }
     }
     let title = if rig.site.name.is_empty() {
         args.session.display().to_string()

@@ -37,7 +37,7 @@ pub struct CalibrationAnswer {
     pub reason: String,
 }
 
-/// Stills of home plate that may wait: two a camera, and rarely.
+/// Stills of home plate that may wait: they are taken at once but while a calibration is made.
 pub const STILLS_QUEUE: usize = 16;
 
 /// The calibration worker's thread: one request at a time, never in the way of a pitch. Where stills show home plate it is one
@@ -47,15 +47,33 @@ pub fn calibrate(
     (requests, stills): (&Receiver<CalibrationRequest>, &Receiver<(CameraId, Still)>),
     answers: &Sender<CalibrationAnswer>,
 ) {
-    for request in requests {
+    // Of each camera the newest counts.
+    let mut newest: BTreeMap<CameraId, Still> = BTreeMap::new();
+    loop {
+        let request = crossbeam_channel::select! {
+            recv(stills) -> still => match still {
+                Ok((camera, still)) => {
+                    newest.insert(camera, still);
+                    continue;
+                }
+                // No camera is left: what was asked for is still answered.
+                Err(_) => match requests.recv() {
+                    Ok(request) => request,
+                    Err(_) => return,
+                },
+            },
+            recv(requests) -> request => match request {
+                Ok(request) => request,
+                Err(_) => return,
+            },
+        };
+        newest.extend(stills.try_iter());
         let begun = Instant::now();
-        for (camera, still) in stills.try_iter() {
+        for (camera, still) in std::mem::take(&mut newest) {
             let told = still
                 .picture()
                 .and_then(|still| add_plate(&mut rig, &camera, &still));
-            if let Some(told) = told {
-                tracing::info!(%camera, "{told}");
-            }
+            tracing::info!(%camera, "{}", told.as_deref().unwrap_or("home plate not seen"));
         }
         let made = solve_tracks(&rig, &request.tracks, &BatchOptions::default());
         let (calibration, reason) = match made {

@@ -369,7 +369,7 @@ fn urgent(
 
 /// Priorities below a camera's receive thread: a frame is taken before it is searched, searched before anything is fitted, and
 /// a pitch whose balls have been fitted is solved before the next ball is. Another program's load then delays none of them;
-/// `calibrate`, `record`, `disk` and `print` can wait.
+/// `calibrate`, `record`, `disk` and `print` can wait. A camera's priority of 6 or more leaves room for all of them.
 #[derive(Clone, Copy)]
 enum Urgency {
     Capture = 1,

@@ -5,10 +5,12 @@ use crate::detection::{Still, StillPicture, plate_middle, plate_place, seek_plat
 use crate::geometry::Pose;
 use crate::scene::{CameraId, CameraSetup, Landmark, LandmarkPosition, Motion, Rig};
 
-/// Name of the landmark that is added.
-const NAME: &str = "home_plate";
-/// Times that the plate is sought: each time from the pose that the last one gives.
+/// Name of the landmark that is added: no person's.
+const NAME: &str = "home_plate_seen";
+/// Times that the plate is sought: the second time from the pose that the first gives.
 const PASSES: usize = 2;
+/// The plate is no further than this from where the clicks alone put it, pixels.
+const OFF_CLICKS_MAX_PX: f64 = 1.6;
 
 /// Gathers the still in which a camera's home plate will be sought; `None` where its clicks do not say where it is.
 pub fn still_of(rig: &Rig, camera: &CameraId) -> Option<Still> {
@@ -17,15 +19,19 @@ pub fn still_of(rig: &Rig, camera: &CameraId) -> Option<Still> {
     plate_place(&setup.intrinsics, &pose, (setup.width_px, setup.height_px)).map(Still::new)
 }
 
-/// Adds home plate to a camera's landmarks, if a still of it shows the plate; what is then known, for people.
+/// Adds home plate to a camera's landmarks, if a still of it shows the plate; what is then known, for people. One that was added
+/// before goes: the newest still decides.
 pub fn add_plate(rig: &mut Rig, camera: &CameraId, still: &StillPicture) -> Option<String> {
     let setup = rig.cameras.iter_mut().find(|setup| setup.id == *camera)?;
-    let mut told = None;
+    setup.landmarks.retain(|landmark| landmark.name != NAME);
+    let by_clicks = pose_of(setup)?.transform(&plate_middle());
+    let by_clicks = setup.intrinsics.project(&by_clicks).ok()?;
+    let mut with_plate = setup.clone();
+    let mut found = None;
     for _ in 0..PASSES {
-        let pose = pose_of(setup)?;
-        let plate = seek_plate(still, &setup.intrinsics, &pose)?;
-        setup.landmarks.retain(|landmark| landmark.name != NAME);
-        setup.landmarks.push(Landmark {
+        let plate = seek_plate(still, &setup.intrinsics, &pose_of(&with_plate)?)?;
+        with_plate.landmarks.clone_from(&setup.landmarks);
+        with_plate.landmarks.push(Landmark {
             name: NAME.to_owned(),
             position: LandmarkPosition {
                 world_m: plate_middle(),
@@ -34,19 +40,25 @@ pub fn add_plate(rig: &mut Rig, camera: &CameraId, still: &StillPicture) -> Opti
             pixel: plate.middle,
             sigma_px: plate.sigma_px,
         });
-        told.get_or_insert(plate);
+        found = Some(plate);
     }
-    let plate = told?;
-    let (off_px, sigma_px) = (plate.shift_px.norm(), plate.sigma_px);
+    let plate = found?;
+    let off_px = (plate.middle.vector() - by_clicks.vector()).norm();
+    // The pose with it must not leave it out as a wrong click.
+    if off_px > OFF_CLICKS_MAX_PX || pose_of(&with_plate).is_none() {
+        return None;
+    }
+    *setup = with_plate;
+    let sigma_px = plate.sigma_px;
     Some(format!(
         "home plate seen {off_px:.2} px from where the clicks put it (± {sigma_px:.2} px)"
     ))
 }
 
-/// The one pose that a camera's landmarks allow.
+/// The one pose that a camera's landmarks allow, if it holds the plate among them.
 fn pose_of(setup: &CameraSetup) -> Option<Pose> {
     match resect_camera(setup).ok()?.as_slice() {
-        [only] => Some(only.pose),
+        [only] if !only.rejected.iter().any(|name| name == NAME) => Some(only.pose),
         _ => None,
     }
 }
@@ -107,11 +119,16 @@ target_m = [0.1, 0.95]
             "{off_px:?} {plate:?}"
         );
 
-        // Ground without a plate adds nothing.
+        // Again: one in its place, and a person's own of a like name stays.
+        rig.cameras[0].landmarks[0].name = "home_plate".to_owned();
+        add_plate(&mut rig, &camera, &still.picture().unwrap()).unwrap();
+        assert_eq!(rig.cameras[0].landmarks.len(), clicked + 1);
+        assert_eq!(rig.cameras[0].landmarks[0].name, "home_plate");
+
+        // Ground without a plate adds nothing, and takes the one before away.
         let mut bare = still.picture().unwrap();
         bare.levels.fill(120.0);
-        let before = rig.clone();
         assert_eq!(add_plate(&mut rig, &camera, &bare), None);
-        assert_eq!(rig, before);
+        assert_eq!(rig.cameras[0].landmarks.len(), clicked);
     }
 }

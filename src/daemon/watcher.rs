@@ -99,7 +99,6 @@ impl Watcher<'_> {
         self.clock = live.clock.or(self.clock);
         self.stamp_sigma_s = live.stamp_sigma_s;
         self.last_arrival = frame.stamp.arrival.unwrap_or(self.last_arrival);
-        self.take_still(frame);
         let (eye, _) = self.watching.get_or_insert_with(|| {
             let camera = self.health.camera.clone();
             let new = FirstLook::new(camera, config, frame.width_px, frame.height_px);
@@ -132,9 +131,10 @@ impl Watcher<'_> {
         }
         self.hand_on();
         self.tell_how_far(follows);
+        self.take_still(frame);
     }
 
-    /// Home plate as it looks most of the time is told of when twice as many frames have been seen as the last time.
+    /// Home plate as it looks most of the time is told of when as many frames of it are there as are kept.
     fn take_still(&mut self, frame: &RawFrame) {
         let Some(still) = &mut self.still else { return };
         if !still.is_due() {
@@ -156,6 +156,7 @@ impl Watcher<'_> {
         }
         self.end_window();
         self.recent.clear();
+        self.still.iter_mut().for_each(Still::clear);
         if let Some((_, of_eye)) = &mut self.watching {
             *of_eye = epoch;
         }

@@ -202,6 +202,8 @@ fn compare(pictures: &mut [Picture], first: &Shared, begin: usize) -> Option<(Bl
     }
     let (_, held) = comparison.hold(best)?;
     let costs = comparison.costs;
+    // None where none could be fitted.
+    costs.iter().flatten().next()?;
     let worst = costs.iter().copied().flatten().fold(0.0, f64::max);
     Some((costs.map(|cost| cost.unwrap_or(worst)), held))
 }

@@ -3,20 +3,21 @@
 //! A person's click is good to half a pixel, and what is left after all clicks shifts every pitch of a session alike: by 1 mm
 //! (three cameras) or 3 mm (two opposite ones) at the plate. The plate itself is white, of known shape, and what pitches
 //! are called against. So its picture, as the camera's pose by the clicks foretells it, is laid over the still
-//! and moved to where it fits: ground of an even or sloping level, the plate's level, chalk lines where the rules have them, a
-//! blur. Gauss–Newton with Tukey's weights, for feet and dust hide parts of it.
+//! and moved to where it fits: ground of an even or sloping level, the plate's level, a blur. Gauss–Newton with Tukey's weights,
+//! for feet and dust hide parts of it. Where chalk may be (the lines of the batter's boxes, which are off by centimetres) nothing is
+//! compared.
 
 use nalgebra::{Point3, SMatrix, SVector, Vector2, Vector3};
 
 use super::still::Picture;
 use crate::geometry::{Intrinsics, Pixel, Pose};
-use crate::scene::{FieldPreset, PixelRect};
+use crate::scene::PixelRect;
 
 /// Pixels beside the plate that are looked at, and so many more that are kept of the picture.
 const BESIDE_PX: i32 = 3;
 const MARGIN_PX: f64 = 10.0;
 /// The largest part of a picture that is looked at, and the smallest plate, pixels.
-const PART_MAX_PX: u32 = 600;
+const PART_MAX_PX: u32 = 300;
 const PLATE_MIN_PX: f64 = 12.0;
 /// Samples of the foretold picture to a pixel's side.
 const FINE: usize = 6;
@@ -30,6 +31,10 @@ const SHIFT_MAX_PX: f64 = 1.6;
 const BEGUN_PX: f64 = 0.9;
 const AGREE_PX: f64 = 0.2;
 const AGREE_COST: f64 = 1.15;
+/// ... and so many of the four must.
+const AGREE_MIN: usize = 2;
+/// A fit has ended well when its last step was smaller than this, pixels.
+const STEP_MAX_PX: f64 = 1e-3;
 /// It is so much brighter than the ground, levels, and than so many times what is left unexplained.
 const CONTRAST_MIN: f64 = 25.0;
 const CONTRAST_SIGMAS: f64 = 6.0;
@@ -45,8 +50,14 @@ const ALIKE: f64 = 2.0;
 const SIGMA_PX: [f64; 2] = [0.1, 0.4];
 const STEPS: usize = 25;
 
-/// Shift, level of the plate and of chalk over the ground's, the ground's level and slopes.
-const PARAMETERS: usize = 7;
+/// Half of the plate's width, and of its length (8.5 in), metres.
+const HALF_PLATE_M: f64 = 0.2159;
+/// Chalk is off by this much, metres, and pixels with more of what may be chalk have no say.
+const CHALK_OFF_M: f64 = 0.03;
+const CHALK_MAX: f64 = 0.1;
+
+/// Shift, level of the plate over the ground's, the ground's level and slopes.
+const PARAMETERS: usize = 6;
 type Parameters = SVector<f64, PARAMETERS>;
 type Information = SMatrix<f64, PARAMETERS, PARAMETERS>;
 
@@ -63,17 +74,12 @@ pub struct PlateSeen {
 
 /// The middle of the plate's square, metres.
 pub fn plate_middle() -> Point3<f64> {
-    Point3::new(0.0, half_plate_m(), 0.0)
-}
-
-fn half_plate_m() -> f64 {
-    let corner = FieldPreset::default().landmark("plate_right");
-    corner.map_or(0.0, |corner| corner.x)
+    Point3::new(0.0, HALF_PLATE_M, 0.0)
 }
 
 /// The part of a camera's picture with home plate in it; `None` where it is not in view, or too small.
 pub fn plate_place(lens: &Intrinsics, pose: &Pose, (width_px, height_px): (u32, u32)) -> Option<PixelRect> {
-    let half = half_plate_m();
+    let half = HALF_PLATE_M;
     let corners = [
         (0.0, 0.0),
         (-half, half),
@@ -130,9 +136,8 @@ pub fn seek_plate(still: &Picture, lens: &Intrinsics, pose: &Pose) -> Option<Pla
         }
     }
     let rivals = others.iter().filter(|other| other.cost < AGREE_COST * best.cost);
-    let agree = rivals
-        .clone()
-        .all(|rival| (rival.shift() - best.shift()).norm() < AGREE_PX);
+    let here = |other: &&Fit| (other.shift() - best.shift()).norm() < AGREE_PX;
+    let agree = rivals.clone().all(|rival| here(&rival)) && others.iter().filter(here).count() >= AGREE_MIN;
     tracing::debug!(?best, agree, "home plate");
     let middle = lens.project(&pose.transform(&plate_middle())).ok()?.vector() + best.shift();
     (agree && best.is_plate()).then(|| PlateSeen {
@@ -142,7 +147,7 @@ pub fn seek_plate(still: &Picture, lens: &Intrinsics, pose: &Pose) -> Option<Pla
     })
 }
 
-/// How much of each fine sample is plate, and how much chalk, as the pose foretells it.
+/// How much of each fine sample is plate, and how much may be chalk, as the pose foretells it.
 struct Foretold {
     columns: usize,
     layers: [Vec<f32>; 2],
@@ -204,11 +209,11 @@ impl Foretold {
 }
 
 fn is_plate(x: f64, y: f64) -> bool {
-    let half = half_plate_m();
+    let half = HALF_PLATE_M;
     x.abs() <= half && y <= 2.0 * half && y >= x.abs()
 }
 
-/// The lines of the batter's boxes, four inches wide within their outer edges.
+/// Where the lines of the batter's boxes may be: four inches wide within their outer edges.
 fn is_chalk(x: f64, y: f64) -> bool {
     const INNER_M: f64 = 0.3683;
     const OUTER_M: f64 = 1.5875;
@@ -218,7 +223,7 @@ fn is_chalk(x: f64, y: f64) -> bool {
         .min(OUTER_M - x.abs())
         .min(y - ENDS_M[0])
         .min(ENDS_M[1] - y);
-    (0.0..=LINE_M).contains(&inside)
+    (-CHALK_OFF_M..=LINE_M + CHALK_OFF_M).contains(&inside)
 }
 
 /// A Gaussian over a pixel's width, in fine samples: the middle first.
@@ -307,7 +312,7 @@ struct Seen {
 }
 
 struct Fitting {
-    layers: [Fine; 2],
+    plate: Fine,
     pixels: Vec<Seen>,
     middle: Vector2<f64>,
 }
@@ -338,8 +343,7 @@ impl Fit {
 }
 
 impl Fitting {
-    fn new(still: &Picture, layers: [Fine; 2]) -> Option<Self> {
-        let plate = &layers[0];
+    fn new(still: &Picture, [plate, chalk]: [Fine; 2]) -> Option<Self> {
         let near = |x: u32, y: u32| {
             let steps = || -BESIDE_PX..=BESIDE_PX;
             steps().any(|dy| {
@@ -352,6 +356,9 @@ impl Fitting {
             for x in (0..still.place.width_px).filter(|x| near(*x, y)) {
                 let level = still.at(still.place.x_px + x, still.place.y_px + y)?;
                 let at = Vector2::new(f64::from(x), f64::from(y));
+                if chalk.at(at.x, at.y)[0] > CHALK_MAX {
+                    continue;
+                }
                 pixels.push(Seen {
                     at,
                     level: f64::from(level),
@@ -361,7 +368,7 @@ impl Fitting {
         }
         let middle = pixels.iter().map(|p| p.at).sum::<Vector2<f64>>() / pixels.len().max(1) as f64;
         (pixels.len() > 4 * PARAMETERS).then_some(Self {
-            layers,
+            plate,
             pixels,
             middle,
         })
@@ -370,15 +377,13 @@ impl Fitting {
     /// A pixel's model and its derivatives.
     fn model(&self, seen: &Seen, values: &Parameters) -> (f64, Parameters) {
         let place = seen.at - values.fixed_rows::<2>(0);
-        let [plate, plate_x, plate_y] = self.layers[0].at(place.x, place.y);
-        let [chalk, chalk_x, chalk_y] = self.layers[1].at(place.x, place.y);
+        let [plate, plate_x, plate_y] = self.plate.at(place.x, place.y);
         let off = 0.1 * (seen.at - self.middle);
-        let model = values[2] * plate + values[3] * chalk + values[4] + values[5] * off.x + values[6] * off.y;
+        let model = values[2] * plate + values[3] + values[4] * off.x + values[5] * off.y;
         let slopes = [
-            -(values[2] * plate_x + values[3] * chalk_x),
-            -(values[2] * plate_y + values[3] * chalk_y),
+            -values[2] * plate_x,
+            -values[2] * plate_y,
             plate,
-            chalk,
             1.0,
             off.x,
             off.y,
@@ -399,9 +404,9 @@ impl Fitting {
                 .map(|seen| seen.level);
             median(levels.collect())
         });
-        (values[2], values[4]) = (on? - off?, off?);
+        (values[2], values[3]) = (on? - off?, off?);
         let mut scale = f64::INFINITY;
-        let mut state = None;
+        let (mut state, mut last_px) = (None, f64::INFINITY);
         for step in 0..STEPS {
             let looks: Vec<(f64, Parameters)> =
                 self.pixels.iter().map(|seen| self.model(seen, &values)).collect();
@@ -416,10 +421,7 @@ impl Fitting {
             // What is unexplained only falls, or the weights would follow what they leave out.
             scale = f64::min(scale, unexplained.max(floor).max(0.3));
             let mut information = Information::identity() * 1e-9;
-            // Chalk is often worn away: none, unless the picture says so.
-            information[(3, 3)] += 1e-4;
             let mut gradient = Parameters::zeros();
-            gradient[3] -= 1e-4 * values[3];
             let (mut cost, mut says) = (0.0, [[0.0; 2]; 2]);
             for ((seen, (_, slopes)), residual) in self.pixels.iter().zip(&looks).zip(&residuals) {
                 let share = 1.0 - (residual / (TUKEY_SIGMAS * scale)).powi(2);
@@ -450,11 +452,12 @@ impl Fitting {
             {
                 return None;
             }
-            if step > 5 && far < 1e-4 {
+            last_px = far;
+            if step > 5 && far < 0.1 * STEP_MAX_PX {
                 break;
             }
         }
-        state
+        state.filter(|_| last_px < STEP_MAX_PX)
     }
 }
 
@@ -471,6 +474,14 @@ mod tests {
     use super::*;
 
     const SIZE: (u32, u32) = (2048, 1024);
+
+    #[test]
+    fn the_plate_is_that_of_the_field() {
+        let corner = |name: &str| crate::scene::FieldPreset::default().landmark(name).unwrap();
+        assert!((corner("plate_right").x - HALF_PLATE_M).abs() < 1e-9);
+        assert!((corner("plate_front_right").y - 2.0 * HALF_PLATE_M).abs() < 1e-9);
+        assert!((corner("plate_left") - plate_middle()).y.abs() < 1e-9);
+    }
 
     fn lens() -> Intrinsics {
         Intrinsics {
@@ -495,11 +506,17 @@ mod tests {
             let seen = lens().direction(Pixel::new(x, y)).unwrap();
             let along = pose.rotation.inverse() * Vector3::new(seen.x, seen.y, 1.0);
             let ground = from + along * (-from.z / along.z);
-            hide(ground.x, ground.y).unwrap_or(if is_plate(ground.x, ground.y) {
+            // Chalk 3 cm from where it should be.
+            let chalk = (0.37..0.47).contains(&(ground.x.abs() - 0.03)) && (-0.7..1.13).contains(&ground.y);
+            let plate = is_plate(ground.x, ground.y);
+            let level = if plate {
                 225.0
+            } else if chalk {
+                205.0
             } else {
                 110.0 + 3.0 * ground.x
-            })
+            };
+            hide(ground.x, ground.y).unwrap_or(level)
         };
         // Fine samples whose steps are no part of the estimator's, each seen once.
         const FINE: f64 = 8.7;

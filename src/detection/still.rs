@@ -5,12 +5,14 @@
 
 use crate::scene::{Frame, PixelRect};
 
-/// Frames that are kept; of more, every second one goes.
+/// Frames that are kept; of more, every second one goes, and in the end the oldest.
 const KEPT_MAX: usize = 32;
 /// Fewest frames of a still.
 const KEPT_MIN: usize = 5;
-/// At first one frame of so many is kept.
+/// At first one frame of so many is kept, in the end one of these: a camera that was moved is seen where it is now after some
+/// minutes.
 const STRIDE: u64 = 8;
+const STRIDE_MAX: u64 = 2048;
 
 /// A part of a picture, levels row by row.
 #[derive(Debug, Clone, PartialEq)]
@@ -58,6 +60,12 @@ impl Still {
         due
     }
 
+    /// Begins anew: the camera may stand otherwise.
+    pub fn clear(&mut self) {
+        (self.seen, self.stride) = (0, STRIDE);
+        self.kept.clear();
+    }
+
     /// Takes a frame that is due; whether there are as many as ever are.
     pub fn take(&mut self, frame: &Frame) -> bool {
         if self.kept.is_empty() {
@@ -70,7 +78,9 @@ impl Still {
                 .height_px
                 .min(frame.height_px.saturating_sub(self.place.y_px));
         }
-        if self.kept.len() >= KEPT_MAX {
+        if self.kept.len() >= KEPT_MAX && self.stride >= STRIDE_MAX {
+            self.kept.remove(0);
+        } else if self.kept.len() >= KEPT_MAX {
             let mut keep = false;
             self.kept.retain(|_| {
                 keep = !keep;

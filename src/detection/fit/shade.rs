@@ -62,7 +62,8 @@ impl Picture {
                 };
                 *slot = beyond.unwrap_or_else(|| self.cost_at(*share, shared, edge));
                 least = least.min(*slot);
-                if least.is_finite() && *slot > least + SAY_MAX {
+                // Where the ball was not found at one share it may be at the next.
+                if slot.is_finite() && *slot > least + SAY_MAX {
                     beyond = Some(*slot);
                 }
             }
