@@ -17,6 +17,9 @@ const REFINED_ROUGHNESS_MAX_PX: f64 = 0.5;
 /// ... and of a short path, to which a curve bends easily, no further than this or so many of its σ: a bird's wings beat.
 const SHORT_ROUGHNESS_MAX_PX: f64 = 0.2;
 const SHORT_ROUGHNESS_SIGMAS: f64 = 2.5;
+/// A rough path is tried without so many points at an end; what is then left must be smoother than this share of those limits.
+const END_POINTS: usize = 8;
+const SMOOTH_SHARE: f64 = 0.5;
 /// A path is short to here, and in between to there, seconds.
 const SHORT_S: [f64; 2] = [0.25, 0.5];
 /// Earlier balls that vote on which way pitches go, and how many balls ago they were seen at most: a camera may be moved, and
@@ -172,9 +175,39 @@ impl SecondLook {
             ball.shape = shape;
             ball.kind = shape.kind(&self.tracker_config);
         }
+        if ball.shape.roughness_px > roughness_max_px(ball)
+            && let Some(rest) = self.without_an_end(ball, refinement.radius_px)
+        {
+            *ball = rest;
+        }
         if refinement.fitted < refinement.left || ball.shape.roughness_px > roughness_max_px(ball) {
             ball.kind = TrackKind::Rough;
         }
+    }
+
+    /// A rough ball without some points at its begin, its end or both, if the rest is a smooth pitch: a curve that went through
+    /// the hand for a while leaves no point far enough off it.
+    fn without_an_end(&self, ball: &TrackedBall, radius_px: f64) -> Option<TrackedBall> {
+        let points = ball.track.points.as_slice();
+        let parts = [(END_POINTS, 0), (0, END_POINTS), (END_POINTS, END_POINTS)];
+        parts.into_iter().find_map(|(begin, end)| {
+            let kept = points.get(begin..points.len().checked_sub(end)?)?;
+            let track = Track {
+                points: kept.to_vec(),
+                ..ball.track.clone()
+            };
+            let track = polish(&track, REFINED_FLOOR_PX)?;
+            let shape = TrackShape::measure(&track, radius_px)?;
+            let kind = shape.kind(&self.tracker_config);
+            let rest = TrackedBall {
+                track,
+                shape,
+                kind,
+                score: ball.score,
+            };
+            let smooth = shape.roughness_px < SMOOTH_SHARE * roughness_max_px(&rest);
+            (kind == TrackKind::Pitch && smooth).then_some(rest)
+        })
     }
 
     /// The pitches among these balls. Which way this camera's pitches go is voted by all balls seen so far, so asking
@@ -284,5 +317,39 @@ mod tests {
             second.is_loud(&leg);
         }
         assert!(second.is_loud(&leg));
+    }
+
+    #[test]
+    fn a_path_that_begins_in_the_hand_is_a_pitch_from_where_it_leaves_it() {
+        let second = SecondLook::new(&EyeConfig::default());
+        let ball = |off_px: &dyn Fn(u64) -> f64| {
+            let point = |frame: u64| TrackPoint {
+                frame,
+                stamped: StampedMidpoint::from_seconds_since(0, frame as f64 / 175.0),
+                pixel: Pixel::new(20.0 * frame as f64, 0.02 * (frame * frame) as f64 + off_px(frame)),
+                covariance_px2: Some(nalgebra::Matrix2::identity() * 1e-4),
+            };
+            let track = Track {
+                camera: CameraId::new("side").unwrap(),
+                track: 0,
+                points: (0..80).map(point).collect(),
+            };
+            TrackedBall {
+                shape: TrackShape::measure(&track, 3.5).unwrap(),
+                track,
+                kind: TrackKind::Rough,
+                score: 0.0,
+            }
+        };
+        // The hand swings for seven frames.
+        let hand = ball(&|frame| 3.0 * (0.9 * frame as f64).sin() * f64::from(u8::from(frame < 8)));
+        assert!(hand.shape.roughness_px > 0.5, "{}", hand.shape.roughness_px);
+        let rest = second.without_an_end(&hand, 3.5).unwrap();
+        assert_eq!(rest.kind, TrackKind::Pitch);
+        let frames: Vec<u64> = rest.track.points.iter().map(|p| p.frame).collect();
+        assert_eq!(frames, (8..80).collect::<Vec<_>>());
+        // A wing beats all along.
+        let wing = ball(&|frame| 1.5 * (0.9 * frame as f64).sin());
+        assert!(second.without_an_end(&wing, 3.5).is_none());
     }
 }
