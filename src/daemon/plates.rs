@@ -119,6 +119,14 @@ target_m = [0.1, 0.95]
             "{off_px:?} {plate:?}"
         );
 
+        // It is written into rig.toml with its place in the world.
+        let folder = tempfile::tempdir().unwrap();
+        let file = crate::simulation::write_rig(folder.path(), &rig).unwrap();
+        let read = crate::config::load_rig(&file).unwrap();
+        let (written, read) = (plate, read.cameras[0].landmarks.last().unwrap());
+        assert_eq!((&read.name, &read.position), (&written.name, &written.position));
+        assert!((read.pixel.vector() - written.pixel.vector()).norm() < 1e-3);
+
         // Again: one in its place, and a person's own of a like name stays.
         rig.cameras[0].landmarks[0].name = "home_plate".to_owned();
         add_plate(&mut rig, &camera, &still.picture().unwrap()).unwrap();
