@@ -1,7 +1,7 @@
 //! Home plate as a landmark of every camera that sees it: what a still of the frames adds to a person's clicks.
 
 use crate::calibration::resection::resect_camera;
-use crate::detection::{Still, StillPicture, plate_middle, plate_place, seek_plate};
+use crate::detection::{SHIFT_MAX_PX, Still, StillPicture, plate_middle, plate_place, seek_plate};
 use crate::geometry::Pose;
 use crate::scene::{CameraId, CameraSetup, Landmark, LandmarkPosition, Motion, Rig};
 
@@ -9,8 +9,6 @@ use crate::scene::{CameraId, CameraSetup, Landmark, LandmarkPosition, Motion, Ri
 const NAME: &str = "home_plate_seen";
 /// Times that the plate is sought: the second time from the pose that the first gives.
 const PASSES: usize = 2;
-/// The plate is no further than this from where the clicks alone put it, pixels.
-const OFF_CLICKS_MAX_PX: f64 = 1.6;
 
 /// Gathers the still in which a camera's home plate will be sought; `None` where its clicks do not say where it is.
 pub fn still_of(rig: &Rig, camera: &CameraId) -> Option<Still> {
@@ -45,7 +43,7 @@ pub fn add_plate(rig: &mut Rig, camera: &CameraId, still: &StillPicture) -> Opti
     let plate = found?;
     let off_px = (plate.middle.vector() - by_clicks.vector()).norm();
     // The pose with it must not leave it out as a wrong click.
-    if off_px > OFF_CLICKS_MAX_PX || pose_of(&with_plate).is_none() {
+    if off_px > SHIFT_MAX_PX || pose_of(&with_plate).is_none() {
         return None;
     }
     *setup = with_plate;

@@ -2,6 +2,7 @@
 
 use super::disc::Edge;
 use super::fit::{Picture, Shared, first_fit, fit_shared, fit_shares, misfit};
+use super::median::median;
 
 /// Blurs of the disc's edge that are tried (σ, pixels): pixel area alone to soft optics.
 pub const EDGE_SIGMAS_PX: [f64; 10] = [0.3, 0.36, 0.43, 0.52, 0.62, 0.74, 0.88, 1.05, 1.25, 1.5];
@@ -226,9 +227,9 @@ fn look_closer(pictures: &mut Vec<Picture>, costs: &BlurCosts, held: &Shared) ->
     if let Some((lit, _, _)) = shaded {
         *pictures = lit;
     }
-    let mut all: Vec<f64> = pictures.iter().map(Picture::unlike).collect();
-    all.sort_by(f64::total_cmp);
-    let usual = all.get(all.len() / 2).copied().unwrap_or(1.0).max(0.5);
+    let usual = median(pictures.iter().map(Picture::unlike))
+        .unwrap_or(1.0)
+        .max(0.5);
     let like = |picture: &Picture| picture.unlike() < UNLIKE_MAX * usual;
     let (kept, count) = (pictures.iter().filter(|p| like(p)).count(), pictures.len());
     if kept < count && 2 * kept > count {

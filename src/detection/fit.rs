@@ -9,6 +9,7 @@ use nalgebra::{Matrix2, Matrix3, SMatrix, SVector, Vector2, Vector3};
 use super::background::observe;
 use super::disc::{Edge, LEVEL, LIGHT, OWN, PARAMETERS, Parameters, RADIUS, STREAK_SCALE, Sweep, TERMS};
 use super::lanes::{Look, PixelLanes, Sums};
+use super::median::median;
 use super::patches::Patch;
 use super::view::View;
 
@@ -423,12 +424,10 @@ fn pool(pictures: &mut [Picture], looks: &[Option<Sums>], shared: &Shared) -> Po
 
 /// A frame that looks less like the ball than most (half hidden, at an edge) has little say.
 fn weigh(pictures: &mut [Picture]) {
-    let mut all: Vec<f64> = pictures.iter().map(|p| p.chi2).collect();
-    all.retain(|chi2| chi2.is_finite());
-    all.sort_by(f64::total_cmp);
-    let median = all.get(all.len() / 2).copied().unwrap_or(1.0).max(0.5);
+    let found = pictures.iter().map(|p| p.chi2).filter(|chi2| chi2.is_finite());
+    let usual = median(found).unwrap_or(1.0).max(0.5);
     for picture in pictures {
-        picture.say = 1.0 / (1.0 + (picture.chi2 / (3.0 * median)).powi(4));
+        picture.say = 1.0 / (1.0 + (picture.chi2 / (3.0 * usual)).powi(4));
     }
 }
 

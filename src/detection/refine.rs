@@ -6,6 +6,7 @@ use super::blur::{BlurChoice, BlurCosts, EDGE_SIGMAS_PX, choose_edge};
 use super::config::DetectorConfig;
 use super::disc::Edge;
 use super::fit::{FittedCentre, Picture, PictureStart, Shared, SharedMatrix, fit_shared, fit_shares};
+use super::median::median;
 use super::patches::PatchPool;
 use super::path::between;
 use super::regain::FittedBall;
@@ -396,12 +397,6 @@ fn velocity(points: &[TrackPoint], index: usize) -> Vector2<f64> {
         squares += (t - mean_t) * (t - mean_t);
     }
     sum / f64::max(squares, 1e-12)
-}
-
-fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 #[cfg(test)]

@@ -288,13 +288,11 @@ impl Tracker {
                 ended.push(hypothesis);
             } else if kept.iter().any(|(_, better)| better.same_end(&hypothesis)) {
                 continue;
+            } else if family(kept.iter().map(|(_, h)| h), &hypothesis) >= FAMILY_MAX {
+                self.counters.hypotheses_dropped += 1;
             } else {
-                if family(kept.iter().map(|(_, h)| h), &hypothesis) < FAMILY_MAX {
-                    let here = |(_, better): &&(usize, Hypothesis)| better.ends_with(&hypothesis);
-                    kept.push((kept.iter().filter(here).count(), hypothesis));
-                } else {
-                    self.counters.hypotheses_dropped += 1;
-                }
+                let here = |(_, better): &&(usize, Hypothesis)| better.ends_with(&hypothesis);
+                kept.push((kept.iter().filter(here).count(), hypothesis));
             }
         }
         let extra = kept.len().saturating_sub(self.config.hypotheses_max);

@@ -2,6 +2,7 @@
 //! of the sky is left, so that it is not only darker there but lit otherwise. With the sun's light kept its centre was drawn by
 //! 0.3 to 0.5 px, the same way for the rest of the flight.
 
+use super::super::median::median;
 use super::{DRIFT, DRIFTING, Edge, OWN_STEPS_POOLED, Picture, Shared, SharedMatrix, first_fit, fit_shared};
 
 /// Shares that are tried, relative to what the shared light has.
@@ -179,9 +180,7 @@ fn costs_now(pictures: &[Picture], shared: &Shared, edge: &Edge) -> Vec<f64> {
 
 /// The cost that half of the pictures do not exceed.
 fn usual(costs: &[f64]) -> f64 {
-    let mut sorted = costs.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::INFINITY)
+    median(costs.iter().copied()).unwrap_or(f64::INFINITY)
 }
 
 /// Finds the shares of the pictures; whether they explain them better than those they have. The fullest becomes one, and the
