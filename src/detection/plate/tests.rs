@@ -1,8 +1,10 @@
 //! Home plate's own tests.
 
+use nalgebra::Vector3;
 use rand::{Rng, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
+use super::foretold::is_plate;
 use super::*;
 
 const SIZE: (u32, u32) = (2048, 1024);
