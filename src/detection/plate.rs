@@ -3,9 +3,11 @@
 //! A person's click is good to half a pixel, and what is left after all clicks shifts every pitch of a session alike: by 1 mm
 //! (three cameras) or 3 mm (two opposite ones) at the plate. The plate itself is white, of known shape, and what pitches
 //! are called against. So its picture, as the camera's pose by the clicks foretells it, is laid over the still
-//! and moved to where it fits: ground of an even or sloping level, the plate's level, a blur. Gauss–Newton with Tukey's weights,
-//! for feet and dust hide parts of it. Where chalk may be (the lines of the batter's boxes, which are off by centimetres) nothing is
-//! compared.
+//! and moved to where it fits: ground of an even or sloping level, the plate's level, a blur along each axis. Gauss–Newton with
+//! Tukey's weights, for feet and dust hide parts of it. What is left is mostly texture of the ground and dirt on the plate, alike in
+//! pixels side by side: so neighbours' differences are compared, and levels hardly (the precision λ·I + L of a Gaussian Markov random
+//! field, L the weighted Laplacian of the pixels' grid; Rue and Held 2005, section 3.2). Where chalk may be (the lines of the batter's
+//! boxes, which are off by centimetres) nothing is compared.
 
 mod foretold;
 
@@ -23,8 +25,13 @@ const MARGIN_PX: f64 = 10.0;
 /// The largest part of a picture that is looked at, and the smallest plate, pixels.
 const PART_MAX_PX: u32 = 300;
 const PLATE_MIN_PX: f64 = 12.0;
-/// Blurs that are tried, σ in pixels.
+/// Blurs that are begun with, σ in pixels.
 const BLURS_PX: [f64; 6] = [0.35, 0.5, 0.65, 0.8, 1.0, 1.3];
+/// Times that the picture is foretold anew with the blur that was fitted, and the bounds of it.
+const BLUR_ROUNDS: usize = 2;
+const BLUR_BOUNDS_PX: [f64; 2] = [0.2, 3.0];
+/// A blur's σ² is off by this much from the one begun with, pixels².
+const BLUR_OFF_PX2: f64 = 0.3;
 /// The plate is no further from where the clicks say, pixels.
 pub const SHIFT_MAX_PX: f64 = 1.6;
 /// Where the fit is begun besides there: all that end well must agree to this.
@@ -38,16 +45,22 @@ const STEP_MAX_PX: f64 = 1e-3;
 /// It is so much brighter than the ground, levels, and than so many times what is left unexplained.
 const CONTRAST_MIN: f64 = 25.0;
 const CONTRAST_SIGMAS: f64 = 6.0;
-/// Pixels further off than this many σ have no say (Tukey).
+/// Pixels further off than this many σ have no say (Tukey). An edge is not foretold better than by so many pixels, or the only
+/// pixels that tell where the plate is would be left out on even ground.
 const TUKEY_SIGMAS: f64 = 4.685;
+const EDGE_PX: f64 = 0.1;
+/// Share of the levels themselves, beside that of neighbours' differences.
+const LEVELS: f64 = 0.1;
+/// Unlikeness of neighbours is no less, levels: about that of rounding to whole ones.
+const UNLIKE_MIN: f64 = 0.3;
 /// What is unexplained is no less than this share of the contrast.
 const UNEXPLAINED_MIN: f64 = 0.01;
 /// This share of the pixels on the plate, and beside it, must have a say.
 const SAY_MIN: f64 = 0.6;
-/// What is unexplained is alike in neighbouring pixels: σ counts so many times.
-const ALIKE: f64 = 2.0;
+/// Texture is no such field in truth: σ counts so many times (rendered stills: 1.3 times is what errors are).
+const UNTRUE: f64 = 2.0;
 /// σ of a plate's place at least, and the largest that is of use, pixels.
-const SIGMA_PX: [f64; 2] = [0.1, 0.4];
+const SIGMA_PX: [f64; 2] = [0.05, 0.4];
 const STEPS: usize = 25;
 
 /// Half of the plate's width, and of its length (8.5 in), metres.
@@ -55,8 +68,9 @@ const HALF_PLATE_M: f64 = 0.2159;
 /// Pixels with more of what may be chalk have no say.
 const CHALK_MAX: f64 = 0.1;
 
-/// Shift, level of the plate over the ground's, the ground's level and slopes.
-const PARAMETERS: usize = 6;
+/// Shift, level of the plate over the ground's, the ground's level and slopes, the blur's σ² beyond that of the picture.
+const PARAMETERS: usize = 8;
+const BLUR: [usize; 2] = [6, 7];
 type Parameters = SVector<f64, PARAMETERS>;
 type Information = SMatrix<f64, PARAMETERS, PARAMETERS>;
 
@@ -112,15 +126,7 @@ pub fn plate_place(lens: &Intrinsics, pose: &Pose, (width_px, height_px): (u32, 
 /// Seeks home plate in a still of [`plate_place`]; `None` where the picture does not show it for sure.
 pub fn seek_plate(still: &Picture, lens: &Intrinsics, pose: &Pose) -> Option<PlateSeen> {
     let foretold = Foretold::new(still.place, lens, pose)?;
-    let mut best: Option<(Fit, Fitting)> = None;
-    for blur_px in BLURS_PX {
-        let fitting = Fitting::new(still, foretold.blurred(blur_px))?;
-        let fit = fitting.from(Vector2::zeros());
-        if let Some(fit) = fit.filter(|fit| best.as_ref().is_none_or(|(best, _)| fit.cost < best.cost)) {
-            best = Some((fit, fitting));
-        }
-    }
-    let (mut best, fitting) = best?;
+    let (mut best, fitting) = fit_blur(still, &foretold)?;
     let begins = [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)];
     let mut others = Vec::new();
     for (x, y) in begins {
@@ -143,6 +149,30 @@ pub fn seek_plate(still: &Picture, lens: &Intrinsics, pose: &Pose) -> Option<Pla
     })
 }
 
+/// The fit from where the pose puts the plate, with the blur that fits: the best of a few, then along each axis.
+fn fit_blur(still: &Picture, foretold: &Foretold) -> Option<(Fit, Fitting)> {
+    let mut best: Option<(Fit, Fitting, f64)> = None;
+    for blur_px in BLURS_PX {
+        let fitting = Fitting::new(still, foretold.blurred([blur_px; 2]))?;
+        let fit = fitting.from(Vector2::zeros());
+        if let Some(fit) = fit.filter(|fit| best.as_ref().is_none_or(|(best, ..)| fit.cost < best.cost)) {
+            best = Some((fit, fitting, blur_px));
+        }
+    }
+    let (mut fit, mut fitting, blur_px) = best?;
+    let mut blur_px = [blur_px; 2];
+    let [low, high] = BLUR_BOUNDS_PX;
+    for _ in 0..BLUR_ROUNDS {
+        for (sigma_px, parameter) in blur_px.iter_mut().zip(BLUR) {
+            let squared = sigma_px.powi(2) + fit.values[parameter];
+            *sigma_px = squared.max(0.0).sqrt().clamp(low, high);
+        }
+        fitting = Fitting::new(still, foretold.blurred(blur_px))?;
+        fit = fitting.from(fit.shift())?;
+    }
+    Some((fit, fitting))
+}
+
 /// One pixel of the still: place in the part, level, and whether the plate is foretold there.
 struct Seen {
     at: Vector2<f64>,
@@ -150,9 +180,78 @@ struct Seen {
     on_plate: bool,
 }
 
+/// Two pixels side by side, by their places in the list: along x (0) or y (1).
+struct Pair {
+    pixels: [usize; 2],
+    axis: usize,
+}
+
+/// Pixels side by side in a list that goes row by row, each row from the left.
+fn pairs(pixels: &[Seen]) -> Vec<Pair> {
+    let key = |at: &Vector2<f64>| (at.y as i64, at.x as i64);
+    let mut pairs = Vec::with_capacity(2 * pixels.len());
+    for (index, seen) in pixels.iter().enumerate() {
+        let (row, column) = key(&seen.at);
+        for (axis, beside) in [(row, column + 1), (row + 1, column)].into_iter().enumerate() {
+            if let Ok(other) = pixels.binary_search_by_key(&beside, |seen| key(&seen.at)) {
+                let pixels = [index, other];
+                pairs.push(Pair { pixels, axis });
+            }
+        }
+    }
+    pairs
+}
+
+/// A pixel's level less the model's, levels, and the model's derivatives.
+struct Look {
+    residual: f64,
+    slopes: Parameters,
+}
+
+impl Look {
+    /// 1 where the model fits, 0 and less where it does not at all.
+    fn share(&self, scale: f64) -> f64 {
+        let edge2 = EDGE_PX.powi(2) * self.slopes.fixed_rows::<2>(0).norm_squared();
+        1.0 - self.residual.powi(2) / (TUKEY_SIGMAS.powi(2) * (scale * scale + edge2))
+    }
+}
+
+/// The normal equations of one step.
+struct Normal {
+    information: Information,
+    gradient: Parameters,
+    /// Sum of the weighted squares.
+    squares: f64,
+}
+
+impl Normal {
+    /// The blur is about that of the picture: what else is unexplained counts `scale` levels.
+    fn new(values: &Parameters, scale: f64) -> Self {
+        let mut information = Information::identity() * 1e-9;
+        let mut gradient = Parameters::zeros();
+        let weight = (scale / BLUR_OFF_PX2).powi(2);
+        for parameter in BLUR {
+            information[(parameter, parameter)] += weight;
+            gradient[parameter] -= weight * values[parameter];
+        }
+        Self {
+            information,
+            gradient,
+            squares: 0.0,
+        }
+    }
+
+    fn add(&mut self, slopes: &Parameters, residual: f64, weight: f64) {
+        self.information += slopes * slopes.transpose() * weight;
+        self.gradient += slopes * (residual * weight);
+        self.squares += weight * residual * residual;
+    }
+}
+
 struct Fitting {
     plate: Fine,
     pixels: Vec<Seen>,
+    pairs: Vec<Pair>,
     middle: Vector2<f64>,
 }
 
@@ -206,16 +305,19 @@ impl Fitting {
         }
         let middle = pixels.iter().map(|p| p.at).sum::<Vector2<f64>>() / pixels.len().max(1) as f64;
         (pixels.len() > 4 * PARAMETERS).then_some(Self {
+            pairs: pairs(&pixels),
             plate,
             pixels,
             middle,
         })
     }
 
-    /// A pixel's model and its derivatives.
-    fn model(&self, seen: &Seen, values: &Parameters) -> (f64, Parameters) {
+    fn look(&self, seen: &Seen, values: &Parameters) -> Look {
         let place = seen.at - values.fixed_rows::<2>(0);
         let [plate, plate_x, plate_y] = self.plate.at(place.x, place.y);
+        // A blur whose σ² is more by b adds b/2 times the second derivative (the heat equation).
+        let [curve_x, curve_y] = self.plate.curves(place.x, place.y).map(|curve| 0.5 * curve);
+        let plate = plate + values[BLUR[0]] * curve_x + values[BLUR[1]] * curve_y;
         let off = 0.1 * (seen.at - self.middle);
         let model = values[2] * plate + values[3] + values[4] * off.x + values[5] * off.y;
         let slopes = [
@@ -225,64 +327,109 @@ impl Fitting {
             1.0,
             off.x,
             off.y,
+            values[2] * curve_x,
+            values[2] * curve_y,
         ];
-        (model, Parameters::from(slopes))
+        Look {
+            residual: seen.level - model,
+            slopes: Parameters::from(slopes),
+        }
+    }
+
+    /// A shift, and the levels as if all were in view.
+    fn begin(&self, shift: Vector2<f64>) -> Option<Parameters> {
+        let [on, off] = [true, false].map(|on| {
+            let pixels = self.pixels.iter().filter(|seen| seen.on_plate == on);
+            median(pixels.map(|seen| seen.level))
+        });
+        let mut values = Parameters::zeros();
+        values.fixed_rows_mut::<2>(0).copy_from(&shift);
+        (values[2], values[3]) = (on? - off?, off?);
+        Some(values)
+    }
+
+    /// What tells pixels side by side apart along each axis, over the geometric mean of both: a pixel of flat ground is many times
+    /// longer than wide.
+    fn unlike(&self, looks: &[Look]) -> [f64; 2] {
+        let along = |axis: usize| {
+            let pairs = self.pairs.iter().filter(|pair| pair.axis == axis);
+            let steps = pairs.filter_map(|pair| {
+                let [one, other] = pair.pixels;
+                Some((looks.get(one)?.residual - looks.get(other)?.residual).abs())
+            });
+            median(steps).unwrap_or(0.0).max(UNLIKE_MIN)
+        };
+        let unlike = [along(0), along(1)];
+        let mean = (unlike[0] * unlike[1]).sqrt();
+        unlike.map(|unlike| unlike / mean)
+    }
+
+    /// The step's equations: levels, and differences of neighbours of which both have a say.
+    fn normal(&self, looks: &[Look], values: &Parameters, scale: f64) -> Normal {
+        let say: Vec<f64> = looks
+            .iter()
+            .map(|look| look.share(scale).max(0.0).powi(2))
+            .collect();
+        let mut normal = Normal::new(values, scale);
+        for (look, say) in looks.iter().zip(&say) {
+            normal.add(&look.slopes, look.residual, LEVELS * say);
+        }
+        let unlike = self.unlike(looks);
+        for pair in &self.pairs {
+            let [one, other] = pair.pixels;
+            let weight = say[one] * say[other] / unlike[pair.axis].powi(2);
+            let (one, other) = (&looks[one], &looks[other]);
+            normal.add(
+                &(one.slopes - other.slopes),
+                one.residual - other.residual,
+                weight,
+            );
+        }
+        normal
+    }
+
+    /// How well the model fits, and which pixels have a say.
+    fn judge(&self, looks: &[Look], values: &Parameters, scale: f64) -> Fit {
+        let (mut cost, mut says) = (0.0, [[0.0; 2]; 2]);
+        for (seen, look) in self.pixels.iter().zip(looks) {
+            let share = look.share(scale).max(0.0);
+            cost += 1.0 - share.powi(3);
+            let [kept, all] = &mut says[usize::from(!seen.on_plate)];
+            *kept += f64::from(u8::from(share > 0.5));
+            *all += 1.0;
+        }
+        Fit {
+            values: *values,
+            cost: cost * scale * scale,
+            unexplained: scale,
+            sigma_px: f64::INFINITY,
+            say: says.map(|[kept, all]| kept / f64::max(all, 1.0)),
+        }
     }
 
     /// The fit from a shift on.
     fn from(&self, shift: Vector2<f64>) -> Option<Fit> {
-        let mut values = Parameters::zeros();
-        values.fixed_rows_mut::<2>(0).copy_from(&shift);
-        // Levels first, as if all were in view.
-        let [on, off] = [true, false].map(|on| {
-            let levels = self
-                .pixels
-                .iter()
-                .filter(|seen| seen.on_plate == on)
-                .map(|seen| seen.level);
-            median(levels)
-        });
-        (values[2], values[3]) = (on? - off?, off?);
+        let mut values = self.begin(shift)?;
         let mut scale = f64::INFINITY;
-        let (mut state, mut last_px) = (None, f64::INFINITY);
+        let (mut fit, mut last_px) = (None, f64::INFINITY);
         for step in 0..STEPS {
-            let looks: Vec<(f64, Parameters)> =
-                self.pixels.iter().map(|seen| self.model(seen, &values)).collect();
-            let residuals: Vec<f64> = self
-                .pixels
-                .iter()
-                .zip(&looks)
-                .map(|(seen, (model, _))| seen.level - model)
-                .collect();
-            let unexplained = 1.4826 * median(residuals.iter().map(|r| r.abs()))?;
+            let looks: Vec<Look> = self.pixels.iter().map(|seen| self.look(seen, &values)).collect();
+            let unexplained = 1.4826 * median(looks.iter().map(|look| look.residual.abs()))?;
             let floor = UNEXPLAINED_MIN * values[2].abs();
             // What is unexplained only falls, or the weights would follow what they leave out.
             scale = f64::min(scale, unexplained.max(floor).max(0.3));
-            let mut information = Information::identity() * 1e-9;
-            let mut gradient = Parameters::zeros();
-            let (mut cost, mut says) = (0.0, [[0.0; 2]; 2]);
-            for ((seen, (_, slopes)), residual) in self.pixels.iter().zip(&looks).zip(&residuals) {
-                let share = 1.0 - (residual / (TUKEY_SIGMAS * scale)).powi(2);
-                let say = share.max(0.0).powi(2);
-                cost += 1.0 - share.max(0.0).powi(3);
-                says[usize::from(!seen.on_plate)][0] += f64::from(u8::from(say > 0.25));
-                says[usize::from(!seen.on_plate)][1] += 1.0;
-                information += slopes * slopes.transpose() * say;
-                gradient += slopes * (residual * say);
-            }
-            let factor = information.cholesky()?;
-            let mut change = factor.solve(&gradient);
+            let normal = self.normal(&looks, &values, scale);
+            let factor = normal.information.cholesky()?;
+            let mut change = factor.solve(&normal.gradient);
             let far = change.fixed_rows::<2>(0).norm();
             if far > 0.4 {
                 change *= 0.4 / far;
             }
-            let covariance = factor.inverse() * (ALIKE * scale).powi(2);
-            state = Some(Fit {
-                values,
-                cost: cost * scale * scale,
-                unexplained: scale,
+            let freedom = (self.pixels.len() - PARAMETERS) as f64;
+            let covariance = factor.inverse() * (UNTRUE.powi(2) * normal.squares / freedom);
+            fit = Some(Fit {
                 sigma_px: covariance[(0, 0)].max(covariance[(1, 1)]).sqrt(),
-                say: says.map(|[kept, all]| kept / f64::max(all, 1.0)),
+                ..self.judge(&looks, &values, scale)
             });
             values += change;
             if values.fixed_rows::<2>(0).norm() > 2.0 * SHIFT_MAX_PX || !values.iter().all(|v| v.is_finite())
@@ -294,7 +441,7 @@ impl Fitting {
                 break;
             }
         }
-        state.filter(|_| last_px < STEP_MAX_PX)
+        fit.filter(|_| last_px < STEP_MAX_PX)
     }
 }
 

@@ -64,12 +64,12 @@ impl Foretold {
         Some(Self { columns, layers })
     }
 
-    /// As a lens of this blur and pixels of an area see it.
-    pub(super) fn blurred(&self, blur_px: f64) -> [Fine; 2] {
-        let kernel = kernel(blur_px);
+    /// As a lens of this blur along x and y, and pixels of an area, see it: plate, and chalk.
+    pub(super) fn blurred(&self, blur_px: [f64; 2]) -> [Fine; 2] {
+        let kernels = blur_px.map(kernel);
         [0, 1].map(|layer| Fine {
             columns: self.columns,
-            values: smooth(&self.layers[layer], self.columns, &kernel),
+            values: smooth(&self.layers[layer], self.columns, &kernels),
         })
     }
 }
@@ -106,11 +106,11 @@ fn kernel(blur_px: f64) -> Vec<f32> {
     half.iter().map(|weight| (weight / total) as f32).collect()
 }
 
-/// Rows, then columns, with a kernel that is alike on both sides; beyond the edge is what is at it.
-fn smooth(values: &[f32], columns: usize, kernel: &[f32]) -> Vec<f32> {
+/// Rows, then columns, each with a kernel that is alike on both sides; beyond the edge is what is at it.
+fn smooth(values: &[f32], columns: usize, [along_x, along_y]: &[Vec<f32>; 2]) -> Vec<f32> {
     let columns = columns.max(1);
     let rows = values.len() / columns;
-    let pass = |from: &[f32], count: usize, step: usize, lines: usize, stride: usize| {
+    let pass = |from: &[f32], kernel: &[f32], [count, step]: [usize; 2], [lines, stride]: [usize; 2]| {
         let mut to = vec![0.0; from.len()];
         for line in 0..lines {
             for at in 0..count {
@@ -132,8 +132,8 @@ fn smooth(values: &[f32], columns: usize, kernel: &[f32]) -> Vec<f32> {
         }
         to
     };
-    let across = pass(values, columns, 1, rows, columns);
-    pass(&across, rows, columns, columns, 1)
+    let across = pass(values, along_x, [columns, 1], [rows, columns]);
+    pass(&across, along_y, [rows, columns], [columns, 1])
 }
 
 /// A foretold layer, blurred, in fine samples.
@@ -166,6 +166,17 @@ impl Fine {
             (a * (1.0 - s) + b * s) * (1.0 - t) + (c * (1.0 - s) + d * s) * t,
             scale * ((b - a) * (1.0 - t) + (d - c) * t),
             scale * ((c - a) * (1.0 - s) + (d - b) * s),
+        ]
+    }
+
+    /// Second derivatives along x and y there, by differences over half a pixel.
+    pub(super) fn curves(&self, x: f64, y: f64) -> [f64; 2] {
+        const STEP_PX: f64 = 0.5;
+        let at = |dx: f64, dy: f64| self.at(x + dx, y + dy)[0];
+        let twice = 2.0 * at(0.0, 0.0);
+        [
+            (at(-STEP_PX, 0.0) - twice + at(STEP_PX, 0.0)) / STEP_PX.powi(2),
+            (at(0.0, -STEP_PX) - twice + at(0.0, STEP_PX)) / STEP_PX.powi(2),
         ]
     }
 }
