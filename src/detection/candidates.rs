@@ -3,7 +3,7 @@
 use super::blobs::{Blob, Images};
 use super::centroid::{Moments, strongest_near, window_moments};
 use super::config::{DetectorConfig, is_searched};
-use super::detector::ExpectedBall;
+use super::expected::ExpectedBall;
 use crate::geometry::Pixel;
 use crate::scene::{Detection, FrameStamp};
 

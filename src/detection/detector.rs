@@ -6,6 +6,7 @@ use super::candidates::{apart, candidate, look_at, small_ball};
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
 use super::error::{DetectionError, check_size};
+use super::expected::ExpectedBall;
 use super::finds::{Behind, Finds, Found, Restless};
 use super::history::{History, Triple};
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
@@ -15,7 +16,6 @@ use super::packed::UnpackedFrames;
 use super::patches::PatchPool;
 use super::scan::Scan;
 use super::tiles::TileMap;
-use crate::geometry::Pixel;
 use crate::scene::{Detection, Frame, FrameStamp, Track};
 
 /// A blob of fewer pixels is noise.
@@ -30,27 +30,6 @@ const MIXED_SIDE_MIN_PX: usize = 12;
 const MIXED_BLOBS_MAX: usize = 16;
 /// Most expected balls of one frame.
 const EXPECTED_MAX: usize = 16;
-/// Balls expected nearer than this to each other are one, pixels.
-const EXPECTED_ALIKE_PX: f64 = 1.0;
-
-/// Where a ball should be in a frame, by its track or by the other cameras.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ExpectedBall {
-    /// Centre, distorted pixels.
-    pub centre: Pixel,
-    /// How far off it may be, pixels.
-    pub reach_px: f64,
-    /// Its radius, pixels.
-    pub radius_px: f64,
-}
-
-impl ExpectedBall {
-    /// Whether looking for one finds the other.
-    fn is_like(&self, other: &Self) -> bool {
-        let off = self.centre.vector() - other.centre.vector();
-        off.norm() < EXPECTED_ALIKE_PX && self.reach_px + EXPECTED_ALIKE_PX >= other.reach_px
-    }
-}
 
 /// Who is told the candidates, and may know better where to look.
 pub trait Answers {
@@ -105,7 +84,7 @@ pub struct Detector {
     restless: Restless,
     expected: Vec<ExpectedBall>,
     detections: Vec<Detection>,
-    patches: PatchPool,
+    pub(super) patches: PatchPool,
     counters: DetectorCounters,
 }
 
@@ -296,7 +275,11 @@ impl Detector {
         if let Some(triple) = history.triple(index, self.lag, ended) {
             self.counters.waited += (history.count() - 1 - index) as u64;
             let near = history.near(index, near_step(self.lag));
-            self.answer((index, &triple), near.as_ref(), answers);
+            let like = self.scan.light.lag_from(self.lag);
+            let alike = (like != self.lag)
+                .then(|| history.triple(index, like, false))
+                .flatten();
+            self.answer((index, &triple), (near.as_ref(), alike.as_ref()), answers);
         } else {
             self.counters.unanswered += 1;
         }
@@ -342,7 +325,7 @@ impl Detector {
     fn answer(
         &mut self,
         (index, triple): (usize, &Triple<'_>),
-        near: Option<&Triple<'_>>,
+        (near, alike): (Option<&Triple<'_>>, Option<&Triple<'_>>),
         answers: &mut dyn Answers,
     ) {
         let stamp = triple.current.frame.stamp;
@@ -377,11 +360,13 @@ impl Detector {
             .found
             .keep_strongest(self.config.candidates_max, &self.restless);
         self.counters.candidates_dropped += extra as u64;
+        // What is behind a ball is seen best in the light that is on it.
+        let far = alike.map_or(images, |alike| self.images(alike));
         for found in self.found.all() {
             let behind = near
                 .as_ref()
                 .filter(|_| found.behind == Behind::Near)
-                .unwrap_or(&images);
+                .unwrap_or(&far);
             self.patches.keep(behind, &found.blob, &found.detection);
             self.detections.push(found.detection);
         }

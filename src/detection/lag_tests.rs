@@ -26,20 +26,25 @@ impl Answers for InOrder {
     }
 }
 
+/// A ball on its way across the picture.
+fn ball(frames: u64) -> Ball {
+    Ball {
+        centre: [8.0 + 10.7 * frames as f64, 30.0],
+        streak: [2.0, 0.0],
+        radius: 3.1,
+        light: 215.0,
+        shade: 100.0,
+        to_light: [0.2, -1.0, -0.3],
+    }
+}
+
 /// Balls cross the picture, each for 20 frames of 40.
 fn frames(count: u64) -> impl Iterator<Item = Frame> {
     let stand = Canvas::stand(WIDTH, HEIGHT, 5, 20.0);
     (0..count).map(move |number| {
         let mut canvas = stand.clone();
         if number % 40 >= 20 {
-            canvas.ball(&Ball {
-                centre: [8.0 + 10.7 * (number % 40 - 20) as f64, 30.0],
-                streak: [2.0, 0.0],
-                radius: 3.1,
-                light: 215.0,
-                shade: 100.0,
-                to_light: [0.2, -1.0, -0.3],
-            });
+            canvas.ball(&ball(number % 40 - 20));
         }
         canvas.frame(number, RATE_HZ, 1.2)
     })
@@ -123,4 +128,44 @@ proptest! {
         let all: Vec<u64> = (0..100 - unanswered).collect();
         prop_assert_eq!(answers.frames, all);
     }
+}
+
+#[test]
+fn where_lamps_flicker_a_ball_is_kept_with_frames_of_like_light() {
+    let mismatch = |flicker: f64| {
+        let stand = Canvas::stand(WIDTH, HEIGHT, 5, 20.0);
+        let (mut detector, mut found) = (detector(1), InOrder::default());
+        for number in 0..120 {
+            let turn = std::f64::consts::TAU * 120.0 * number as f64 / RATE_HZ;
+            let mut canvas = stand.clone();
+            if number >= 100 {
+                canvas.ball(&ball(number - 100));
+            }
+            for (i, level) in canvas.light.iter_mut().enumerate() {
+                // A board, and the stand beside it, which is darkest when the board is brightest.
+                let sign = if i % WIDTH < WIDTH / 4 { -1.0 } else { 1.0 };
+                *level *= (1.0 + sign * flicker * turn.sin()) as f32;
+            }
+            let frame = canvas.frame(number, RATE_HZ, 1.2);
+            detector.detect(&frame, &mut found).unwrap();
+        }
+        let off = |(frame, all): (&u64, &Vec<Detection>)| {
+            let [x, y] = ball(frame.checked_sub(100)?).centre;
+            let near = |d: &&Detection| (d.centre.x - x).hypot(d.centre.y - y) < 2.0;
+            let seen = all.iter().find(near)?;
+            let patch = detector.patches.find(seen.stamped, seen.centre)?;
+            // Three rows above the ball.
+            let pairs = patch.current.iter().zip(patch.one).take(3 * patch.width);
+            let sum: f64 = pairs.map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
+            Some(sum / (3 * patch.width) as f64)
+        };
+        let off: Vec<f64> = found.found.iter().filter_map(off).collect();
+        assert!(off.len() > 10, "{} balls", off.len());
+        off.iter().sum::<f64>() / off.len() as f64
+    };
+    // One frame is 0.69 periods of the lamps, three are 2.06: 8 % of 70 levels change by 2·5.6·sin(0.69π) = 9 levels and by 2 at
+    // most, the mean over time being 2/π of that.
+    let (still, flickering) = (mismatch(0.0), mismatch(0.08));
+    println!("without flicker {still:.2} levels, with {flickering:.2}");
+    assert!(still < 2.0 && flickering < still + 1.5, "{still} {flickering}");
 }

@@ -9,6 +9,7 @@
 use super::dispatch::Kernels;
 use super::kernel::{EVEN_UNIT, TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::packed::UnpackedFrames;
+use super::phases::Phases;
 use super::regions::REGION_TILES;
 use crate::scene::Frame;
 
@@ -43,12 +44,14 @@ pub struct Light {
     /// What those of a row of cells are multiplied by, in parts of [`EVEN_UNIT`].
     units: Vec<u16>,
     evens: bool,
+    /// Of the light as it is.
+    phases: Phases,
     memory: UnpackedFrames,
 }
 
 impl Light {
-    /// For frames of so many columns and rows.
-    pub fn new((width_px, height_px): (usize, usize), kernels: Kernels) -> Self {
+    /// For frames of so many columns and rows, compared over up to `lag_max` frames.
+    pub fn new((width_px, height_px): (usize, usize), lag_max: usize, kernels: Kernels) -> Self {
         let tiles = width_px.div_ceil(TILE_WIDTH_PX);
         let columns = tiles.div_ceil(REGION_TILES);
         let cells = columns * height_px.div_ceil(TILE_HEIGHT_PX * CELL_BANDS);
@@ -61,12 +64,14 @@ impl Light {
             sums: vec![[0; 2]; tiles * CELL_BANDS],
             units: vec![EVEN_UNIT; columns],
             evens: false,
+            phases: Phases::new(columns, lag_max),
             memory: UnpackedFrames::default(),
         }
     }
 
     /// Whether frames are evened: asked once a frame, before it is scanned.
     pub fn evens(&mut self) -> bool {
+        self.phases.end_frame();
         let flickering = self.steps.iter().filter(|step| **step > STEP_MIN).count();
         let share = if self.evens { 2 } else { 1 } * CELLS_PER_FLICKERING;
         let evens = flickering * share >= self.steps.len().max(1);
@@ -85,7 +90,13 @@ impl Light {
             && let Some(step) = self.steps.get_mut(band / CELL_BANDS * self.columns + column)
         {
             follow(step, change.abs(), 0.25);
+            self.phases.take(column, change);
         }
+    }
+
+    /// See [`Phases::lag_from`].
+    pub fn lag_from(&self, needed: usize) -> usize {
+        self.phases.lag_from(needed)
     }
 
     /// A frame under the light of the one before, both given as they are. The first of a window shows the light to follow.
@@ -142,6 +153,7 @@ impl Light {
                 *scale = (*scale * before / now).clamp(SCALE_LIMITS[0], SCALE_LIMITS[1]);
                 let pixels = (count * ROWS.len() * TILE_WIDTH_PX) as f32;
                 follow(step, (now - before).abs() / pixels, 0.05);
+                self.phases.take(cell, (now - before) / pixels);
             }
             *scale += FOLLOWED * (1.0 - *scale);
             *unit = (*scale * f32::from(EVEN_UNIT) + 0.5) as u16;

@@ -31,7 +31,7 @@ impl Scan {
             width_px,
             kernels: Kernels::new(isa),
             noise: RegionNoise::new(config, width_px, height_px),
-            light: Light::new((width_px, height_px), Kernels::new(isa)),
+            light: Light::new((width_px, height_px), config.lag_frames_max, Kernels::new(isa)),
             sums: vec![[0; 3]; width_px.div_ceil(REGION_WIDTH_PX)],
         }
     }
