@@ -30,6 +30,8 @@ pub struct Place {
     pub level: f64,
     /// How unsure the centre is, no less than one fitted centre, pixels.
     pub sigma_px: f64,
+    /// Variance of the place over that of one centre of the path: what all centres are off at random, it is off so much of.
+    pub share_of_one: f64,
     /// How far off the centre is for a path whose acceleration changes by 1 px/s³, s³: a parabola leaves that out.
     pub bend_s3: f64,
 }
@@ -103,6 +105,7 @@ pub fn place(mut near: Vec<Near>) -> Option<Place> {
                 velocity_px_per_s: Vector2::new(curve.x.y, curve.y.y) / curve.scale_s,
                 level,
                 sigma_px: curve.sigma_px.max(PATH_SIGMA_PX),
+                share_of_one: curve.share_of_one,
                 bend_s3: curve.bend_s3,
             });
         }
@@ -118,6 +121,8 @@ struct Parabola {
     y: Vector3<f64>,
     /// Standard deviation at time 0, pixels.
     sigma_px: f64,
+    /// Its square over the mean variance of a centre.
+    share_of_one: f64,
     /// Distance at time 0 from a cubic that is t³/6 in seconds, s³.
     bend_s3: f64,
 }
@@ -136,11 +141,14 @@ impl Parabola {
             cubic += weighted * (near.t_s / scale_s).powi(3);
         }
         let cholesky = normal.cholesky()?;
+        let variance = cholesky.solve(&powers(0.0)).x;
+        let weight = near.iter().map(|n| n.weight).sum::<f64>() / near.len() as f64;
         Some(Self {
             scale_s,
             x: cholesky.solve(&x),
             y: cholesky.solve(&y),
-            sigma_px: cholesky.solve(&powers(0.0)).x.sqrt(),
+            sigma_px: variance.sqrt(),
+            share_of_one: variance * weight,
             bend_s3: cholesky.solve(&cubic).x.abs() * scale_s.powi(3) / 6.0,
         })
     }
@@ -227,6 +235,10 @@ mod tests {
             "{ahead:?}"
         );
         assert!(near(-16..=-12).sigma_px > 0.4);
+        assert!(
+            (ahead.share_of_one - (259.0 / 70.0 + 0.9)).abs() < 1e-9,
+            "{ahead:?}"
+        );
         // u³ on −2..2 is 3.4 u (Σu⁴/Σu² = 34/10) and nothing else: at u = 3 it is off by 27 − 10.2, at u = 0 by nothing.
         assert!((ahead.bend_s3 - 16.8 / 6.0).abs() < 1e-9, "{ahead:?}");
         assert!(near(-2..=2).bend_s3 < 1e-9);

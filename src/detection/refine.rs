@@ -139,6 +139,7 @@ impl Refiner {
             blur,
         } = fit;
         let mut ball = FittedBall {
+            stamp_sigma_s: 0.0,
             exposure_s: self.exposure_s.unwrap_or(EXPOSURE_GUESS_S.0),
             lens: self.lens,
             edge,

@@ -1,8 +1,11 @@
 //! A ball that is known by its track, sought where the track leads: in frames that the track lacks (just out of the hand, where
 //! the first look saw ball and arm as one; before a bright edge; at the bat), and where something hides a part of it.
 
+use nalgebra::Vector2;
+
 use super::disc::Edge;
 use super::fit::{FittedCentre, Picture, PictureStart, Shared, SharedMatrix, fit_centre};
+use super::median::median;
 use super::patches::{Patch, PatchPool};
 use super::path::{Near, Place, place};
 use super::refine::whole_covariance;
@@ -26,6 +29,9 @@ const SIGMA_MAX_PX: f64 = 0.25;
 const LEVEL_RATIO_MAX: f64 = 3.0;
 /// A cut-out holds this share of the ball around its place at least: one around a lit or a dark cap is small.
 const HELD_SHARE: f64 = 0.5;
+/// Fewest centres that tell how far stamps are off, and the σ of what is less than its median in half of the cases.
+const STAMPS_MIN: usize = 12;
+const HALF_SIGMAS: f64 = 1.4826;
 /// Frames beyond an end in which the ball may be missed before it is given up.
 const MISSES_MAX: usize = 12;
 
@@ -42,6 +48,8 @@ pub struct FittedBall {
     pub(super) shares: Vec<(f64, f64)>,
     /// In no order.
     pub(super) centres: Vec<(StampedMidpoint, FittedCentre)>,
+    /// How far a stamp is off the exposure, 1σ, seconds: as the centres along the path say.
+    pub(super) stamp_sigma_s: f64,
 }
 
 impl FittedBall {
@@ -78,6 +86,7 @@ impl FittedBall {
         let before = track.points.len();
         self.centres
             .retain(|(stamped, _)| index_of(track, *stamped).is_ok());
+        self.stamp_sigma_s = stamp_sigma_s(&self.centres);
         for frame in cut_outs.frames().filter(|(_, s)| (first..last).contains(s)) {
             self.add(cut_outs, track, frame);
         }
@@ -132,18 +141,18 @@ impl FittedBall {
     }
 
     fn find(&self, cut_outs: &PatchPool, stamped: StampedMidpoint) -> Option<FittedCentre> {
-        let near = self.centres.iter();
-        let place = place(
-            near.map(|(at, centre)| Near::new(stamped.nanos(), *at, centre))
-                .collect(),
-        )?;
+        let place = place_by(&self.centres, stamped)?;
         let start = self.start(stamped, &place);
         let streak_px = start.streak_px.norm() * self.shared.streak_scale();
         let reach_px = start.radius_px + 0.5 * streak_px;
         let patch = cut_outs.around(stamped, place.centre_px, HELD_SHARE * reach_px)?;
         let found = self.seek(&patch, &start, &place)?;
         let variance = 0.5 * whole_covariance(&found).trace();
-        let off_px = (found.centre_px - place.centre_px).norm();
+        let off_px = off_px(
+            found.centre_px - place.centre_px,
+            &place,
+            (self.stamp_sigma_s, start.radius_px),
+        );
         let bend_sigma_px = place.bend_sigma_px(start.radius_px);
         let sigma_px = (variance + place.sigma_px.powi(2) + bend_sigma_px.powi(2)).sqrt();
         let allowed_px = (SIGMAS_MAX * sigma_px + BEYOND_PX).min(OFF_RADII_MAX * start.radius_px);
@@ -177,4 +186,95 @@ impl FittedBall {
 /// The index of this stamp's point in the track, or where it would be.
 fn index_of(track: &Track, stamped: StampedMidpoint) -> Result<usize, usize> {
     track.points.binary_search_by_key(&stamped, |p| p.stamped)
+}
+
+/// Where the other centres of a track have the ball at a stamp.
+fn place_by(centres: &[(StampedMidpoint, FittedCentre)], stamped: StampedMidpoint) -> Option<Place> {
+    let others = centres.iter().filter(|(at, _)| *at != stamped);
+    place(
+        others
+            .map(|(at, centre)| Near::new(stamped.nanos(), *at, centre))
+            .collect(),
+    )
+}
+
+/// How far stamps are off, 1σ, seconds: half of the centres are no further from the path of the others, along it.
+fn stamp_sigma_s(centres: &[(StampedMidpoint, FittedCentre)]) -> f64 {
+    let off_s = |(stamped, centre): &(StampedMidpoint, FittedCentre)| {
+        let place = place_by(centres, *stamped)?;
+        let speed = place.velocity_px_per_s.norm();
+        let along_px = (centre.centre_px - place.centre_px).dot(&place.velocity_px_per_s) / speed.max(1e-9);
+        let one_more = (1.0 + place.share_of_one).sqrt();
+        (speed > 0.0).then(|| along_px.abs() / (speed * one_more))
+    };
+    let off_s: Vec<f64> = centres.iter().filter_map(off_s).collect();
+    if off_s.len() < STAMPS_MIN {
+        return 0.0;
+    }
+    HALF_SIGMAS * median(off_s).unwrap_or(0.0)
+}
+
+/// How far a centre is off its place, pixels, less what its stamp and those of the path may be off: along the path, and no more
+/// than the share of the ball's radius that any centre may be off.
+fn off_px(off: Vector2<f64>, place: &Place, (stamp_sigma_s, radius_px): (f64, f64)) -> f64 {
+    let Some(ahead) = place.velocity_px_per_s.try_normalize(0.0) else {
+        return off.norm();
+    };
+    let stamps_s = SIGMAS_MAX * stamp_sigma_s * (1.0 + place.share_of_one).sqrt();
+    let stamps_px = (stamps_s * place.velocity_px_per_s.norm()).min(OFF_RADII_MAX * radius_px);
+    let along = off.dot(&ahead);
+    let beyond = (along.abs() - stamps_px).max(0.0);
+    (off - ahead * along).norm().hypot(beyond)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Balls that go 12 px a frame and stamps off by so much in turn one way and the other, seconds.
+    fn centres(stamp_off_s: f64) -> Vec<(StampedMidpoint, FittedCentre)> {
+        let centre = |frame: i32| {
+            let sign = [1.0, -1.0, -1.0, 1.0][frame as usize % 4];
+            let t_s = f64::from(frame) / 175.0 + sign * stamp_off_s;
+            let centre = FittedCentre {
+                centre_px: Vector2::new(12.0 * f64::from(frame), 100.0),
+                covariance_px2: nalgebra::Matrix2::identity() * 1e-4,
+                chi2: 1.0,
+                level: 90.0,
+            };
+            (StampedMidpoint::from_seconds_since(0, t_s), centre)
+        };
+        (0..60).map(centre).collect()
+    }
+
+    #[test]
+    fn stamps_that_waver_are_told_by_the_path() {
+        assert!(stamp_sigma_s(&centres(0.0)) < 1e-6);
+        // All are off by 0.1 ms, and so the median is; as σ of a normal law 0.148 ms. The path, of ten, wavers a little too.
+        let sigma_s = stamp_sigma_s(&centres(1e-4));
+        assert!((1.1e-4..1.8e-4).contains(&sigma_s), "{sigma_s}");
+        // Too few to tell.
+        assert!(stamp_sigma_s(&centres(1e-4)[..STAMPS_MIN - 1]) < 1e-9);
+    }
+
+    #[test]
+    fn a_centre_may_be_off_along_its_path_by_what_stamps_are_off() {
+        let place = Place {
+            centre_px: Vector2::zeros(),
+            velocity_px_per_s: Vector2::new(0.0, 2000.0),
+            level: 90.0,
+            sigma_px: 0.06,
+            share_of_one: 3.0,
+            bend_s3: 0.0,
+        };
+        // 3 σ of 0.1 ms with those of a path as unsure as three centres: 3·1e-4·√(1 + 3)·2000 = 1.2 px along, nothing across.
+        let off = |x: f64, y: f64| off_px(Vector2::new(x, y), &place, (1e-4, 4.0));
+        assert!(off(0.0, 1.1) < 1e-12 && off(0.0, -1.1) < 1e-12);
+        assert!((off(0.3, -1.6) - 0.5).abs() < 1e-12, "{}", off(0.3, -1.6));
+        // No more than 0.75 radii.
+        let wild = off_px(Vector2::new(0.0, 5.0), &place, (1.0, 4.0));
+        assert!((wild - 2.0).abs() < 1e-12, "{wild}");
+        // Exact stamps: any distance counts.
+        assert!((off_px(Vector2::new(0.3, 0.4), &place, (0.0, 4.0)) - 0.5).abs() < 1e-12);
+    }
 }
