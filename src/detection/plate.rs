@@ -34,14 +34,17 @@ const BLUR_BOUNDS_PX: [f64; 2] = [0.2, 3.0];
 const BLUR_OFF_PX2: f64 = 0.3;
 /// The plate is no further from where the clicks say, pixels.
 pub const SHIFT_MAX_PX: f64 = 1.6;
-/// Where the fit is begun besides there: all that end well must agree to this.
+/// Where the fit is begun besides there: all that end well must agree to this, or to so many σ where it is less sure.
 const BEGUN_PX: f64 = 0.9;
 const AGREE_PX: f64 = 0.2;
+const AGREE_SIGMAS: f64 = 2.0;
 const AGREE_COST: f64 = 1.15;
 /// ... and so many of the four must.
 const AGREE_MIN: usize = 2;
-/// A fit has ended well when its last step was smaller than this, pixels.
+/// A fit has ended well when its last step was smaller than this, pixels, or than so many σ: the weights follow what they leave
+/// out, and may go to and fro a little for ever.
 const STEP_MAX_PX: f64 = 1e-3;
+const STEP_SIGMAS: f64 = 0.05;
 /// It is so much brighter than the ground, levels, and than so many times what is left unexplained.
 const CONTRAST_MIN: f64 = 25.0;
 const CONTRAST_SIGMAS: f64 = 6.0;
@@ -138,8 +141,13 @@ pub fn seek_plate(still: &Picture, lens: &Intrinsics, pose: &Pose) -> Option<Pla
         }
     }
     let rivals = others.iter().filter(|other| other.cost < AGREE_COST * best.cost);
-    let here = |other: &&Fit| (other.shift() - best.shift()).norm() < AGREE_PX;
+    let off_px = |other: &Fit| (other.shift() - best.shift()).norm();
+    let allowed_px = AGREE_PX.max(AGREE_SIGMAS * best.sigma_px);
+    let here = |other: &&Fit| off_px(other) < allowed_px;
+    // What fits as well is as likely.
+    let spread_px = rivals.clone().filter(here).map(off_px).fold(0.0, f64::max);
     let agree = rivals.clone().all(|rival| here(&rival)) && others.iter().filter(here).count() >= AGREE_MIN;
+    best.sigma_px = best.sigma_px.hypot(spread_px);
     tracing::debug!(?best, agree, "home plate");
     let middle = lens.project(&pose.transform(&plate_middle())).ok()?.vector() + best.shift();
     (agree && best.is_plate()).then(|| PlateSeen {
@@ -441,7 +449,7 @@ impl Fitting {
                 break;
             }
         }
-        fit.filter(|_| last_px < STEP_MAX_PX)
+        fit.filter(|fit| last_px < STEP_MAX_PX.max(STEP_SIGMAS * fit.sigma_px))
     }
 }
 
