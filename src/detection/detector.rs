@@ -84,7 +84,7 @@ pub struct Detector {
     restless: Restless,
     expected: Vec<ExpectedBall>,
     detections: Vec<Detection>,
-    pub(super) patches: PatchPool,
+    patches: PatchPool,
     counters: DetectorCounters,
 }
 

@@ -5,6 +5,7 @@
 
 use nalgebra::{Matrix2, Vector2};
 
+use super::median::median;
 use super::path::{Near, place};
 use crate::scene::Track;
 
@@ -61,9 +62,7 @@ fn stands_out(off: &[Option<Off>], index: usize) -> bool {
         return false;
     };
     let beside = off.iter().skip(index.saturating_sub(BESIDE)).take(2 * BESIDE + 1);
-    let mut beside: Vec<f64> = beside.flatten().map(|off| off.px.norm()).collect();
-    beside.sort_by(f64::total_cmp);
-    let usual = beside.get(beside.len() / 2).copied().unwrap_or(0.0);
+    let usual = median(beside.flatten().map(|off| off.px.norm())).unwrap_or(0.0);
     own.px.norm() > own.allowed_px.max(USUAL_RATIO * usual)
 }
 

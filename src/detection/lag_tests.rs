@@ -7,7 +7,7 @@ use proptest::prelude::*;
 
 use super::painter::{Ball, Canvas};
 use super::{Answers, Detector, DetectorConfig};
-use crate::scene::{Detection, Frame, FrameStamp};
+use crate::scene::{CameraId, Detection, Frame, FrameStamp, Track, TrackPoint};
 
 const WIDTH: usize = 224;
 const HEIGHT: usize = 64;
@@ -130,6 +130,20 @@ proptest! {
     }
 }
 
+/// A track of one point.
+fn track_of(seen: &Detection) -> Track {
+    Track {
+        camera: CameraId::new("a").unwrap(),
+        track: 0,
+        points: vec![TrackPoint {
+            frame: seen.frame,
+            stamped: seen.stamped,
+            pixel: seen.centre,
+            covariance_px2: None,
+        }],
+    }
+}
+
 #[test]
 fn where_lamps_flicker_a_ball_is_kept_with_frames_of_like_light() {
     let mismatch = |flicker: f64| {
@@ -153,7 +167,8 @@ fn where_lamps_flicker_a_ball_is_kept_with_frames_of_like_light() {
             let [x, y] = ball(frame.checked_sub(100)?).centre;
             let near = |d: &&Detection| (d.centre.x - x).hypot(d.centre.y - y) < 2.0;
             let seen = all.iter().find(near)?;
-            let patch = detector.patches.find(seen.stamped, seen.centre)?;
+            let cut_outs = detector.point_cut_outs(&track_of(seen));
+            let patch = cut_outs.find(seen.stamped, seen.centre)?;
             // Three rows above the ball.
             let pairs = patch.current.iter().zip(patch.one).take(3 * patch.width);
             let sum: f64 = pairs.map(|(a, b)| f64::from(a.abs_diff(*b))).sum();

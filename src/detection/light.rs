@@ -69,7 +69,7 @@ impl Light {
         }
     }
 
-    /// Whether frames are evened: asked once a frame, before it is scanned.
+    /// Whether frames are evened: asked once a frame, before it is scanned, which ends what was taken of the one before.
     pub fn evens(&mut self) -> bool {
         self.phases.end_frame();
         let flickering = self.steps.iter().filter(|step| **step > STEP_MIN).count();

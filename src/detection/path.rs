@@ -3,6 +3,7 @@
 use nalgebra::{Matrix3, Vector2, Vector3};
 
 use super::fit::FittedCentre;
+use super::median::median;
 use crate::scene::{BALL_RADIUS_M, Track, TrackPoint};
 use crate::time::StampedMidpoint;
 
@@ -89,9 +90,7 @@ impl Near {
 pub fn place(mut near: Vec<Near>) -> Option<Place> {
     near.sort_by(|a, b| a.t_s.abs().total_cmp(&b.t_s.abs()));
     near.truncate(NEIGHBOURS);
-    let mut levels: Vec<f64> = near.iter().take(LEVELS).map(|n| n.level).collect();
-    levels.sort_by(f64::total_cmp);
-    let level = levels.get(levels.len() / 2).copied()?;
+    let level = median(near.iter().take(LEVELS).map(|n| n.level))?;
     while near.len() >= NEIGHBOURS_MIN {
         let curve = Parabola::through(&near)?;
         let worst = near

@@ -14,7 +14,7 @@ mod foretold;
 use nalgebra::{Point3, SMatrix, SVector, Vector2};
 
 use self::foretold::{Fine, Foretold};
-use super::median::median;
+use super::median::{SIGMA_OVER_MEDIAN, median};
 use super::still::Picture;
 use crate::geometry::{Intrinsics, Pixel, Pose};
 use crate::scene::PixelRect;
@@ -422,7 +422,7 @@ impl Fitting {
         let (mut fit, mut last_px) = (None, f64::INFINITY);
         for step in 0..STEPS {
             let looks: Vec<Look> = self.pixels.iter().map(|seen| self.look(seen, &values)).collect();
-            let unexplained = 1.4826 * median(looks.iter().map(|look| look.residual.abs()))?;
+            let unexplained = SIGMA_OVER_MEDIAN * median(looks.iter().map(|look| look.residual.abs()))?;
             let floor = UNEXPLAINED_MIN * values[2].abs();
             // What is unexplained only falls, or the weights would follow what they leave out.
             scale = f64::min(scale, unexplained.max(floor).max(0.3));

@@ -5,7 +5,7 @@ use nalgebra::Vector2;
 
 use super::disc::Edge;
 use super::fit::{FittedCentre, Picture, PictureStart, Shared, SharedMatrix, fit_centre};
-use super::median::median;
+use super::median::{SIGMA_OVER_MEDIAN, median};
 use super::patches::{Patch, PatchPool};
 use super::path::{Near, Place, place};
 use super::refine::whole_covariance;
@@ -29,9 +29,8 @@ const SIGMA_MAX_PX: f64 = 0.25;
 const LEVEL_RATIO_MAX: f64 = 3.0;
 /// A cut-out holds this share of the ball around its place at least: one around a lit or a dark cap is small.
 const HELD_SHARE: f64 = 0.5;
-/// Fewest centres that tell how far stamps are off, and the σ of what is less than its median in half of the cases.
+/// Fewest centres that tell how far stamps are off.
 const STAMPS_MIN: usize = 12;
-const HALF_SIGMAS: f64 = 1.4826;
 /// Frames beyond an end in which the ball may be missed before it is given up.
 const MISSES_MAX: usize = 12;
 
@@ -48,7 +47,7 @@ pub struct FittedBall {
     pub(super) shares: Vec<(f64, f64)>,
     /// In no order.
     pub(super) centres: Vec<(StampedMidpoint, FittedCentre)>,
-    /// How far a stamp is off the exposure, 1σ, seconds: as the centres along the path say.
+    /// How far a stamp is off the exposure, 1σ, seconds, as the centres along the path say: 0 until frames are sought.
     pub(super) stamp_sigma_s: f64,
 }
 
@@ -211,7 +210,7 @@ fn stamp_sigma_s(centres: &[(StampedMidpoint, FittedCentre)]) -> f64 {
     if off_s.len() < STAMPS_MIN {
         return 0.0;
     }
-    HALF_SIGMAS * median(off_s).unwrap_or(0.0)
+    SIGMA_OVER_MEDIAN * median(off_s).unwrap_or(0.0)
 }
 
 /// How far a centre is off its place, pixels, less what its stamp and those of the path may be off: along the path, and no more
