@@ -1,6 +1,7 @@
 //! Chooses the instruction set of the pixel loops at run time; the only file of the room with `unsafe`.
 #![allow(unsafe_code)]
 
+use super::evening;
 use super::extents::{self, Columns, Extent};
 use super::fronts::{self, Piece};
 use super::kernel::{self, Limits, WindowSums};
@@ -157,13 +158,13 @@ dispatched!(
     clipped_change_sums(rows: (&[u8], &[u8]), length: usize, clips: &[u8], sums: &mut [[u32; 3]])
 );
 dispatched!(
-    kernel:
-    /// See [`kernel::add_tile_sums`].
+    evening:
+    /// See [`evening::add_tile_sums`].
     add_tile_sums(rows: (&[u8], &[u8]), sums: &mut [[u32; 2]])
 );
 dispatched!(
-    kernel:
-    /// See [`kernel::even_row`].
+    evening:
+    /// See [`evening::even_row`].
     even_row(row: &[u8], length: usize, scales: &[u16], even: &mut [u8])
 );
 dispatched!(

@@ -1,7 +1,7 @@
 //! The loops over pixels on every instruction set, against the same by hand.
 
 use crate::detection::dispatch::{Isa, Kernels};
-use crate::detection::kernel;
+use crate::detection::{evening, kernel};
 use proptest::prelude::*;
 
 proptest! {
@@ -73,10 +73,10 @@ proptest! {
                 let by_hand: [u32; 2] = [rows().map(|(c, _)| sum(c)).sum(), rows().map(|(_, a)| sum(a)).sum()];
                 assert_eq!(*sums, by_hand);
             }
-            let (scales, mut even) = ([700 + 4 * u16::from(clip), kernel::EVEN_UNIT], vec![0; width]);
+            let (scales, mut even) = ([700 + 4 * u16::from(clip), evening::EVEN_UNIT], vec![0; width]);
             kernels.even_row(&c[..width], 40, &scales, &mut even);
             for (i, (even, level)) in even.iter().zip(c).enumerate().take(80) {
-                let level = f64::from(*level) * f64::from(scales[i / 40]) / f64::from(kernel::EVEN_UNIT);
+                let level = f64::from(*level) * f64::from(scales[i / 40]) / f64::from(evening::EVEN_UNIT);
                 assert!((f64::from(*even) - level.min(255.0)).abs() <= 0.5, "{level} gives {even}");
             }
             (tiles, masks, both, sizes)

@@ -7,7 +7,8 @@
 //! tiles of a cell agree on is the cell's. What moves before it, or a ball, is in few of them.
 
 use super::dispatch::Kernels;
-use super::kernel::{EVEN_UNIT, TILE_HEIGHT_PX, TILE_WIDTH_PX};
+use super::evening::EVEN_UNIT;
+use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
 use super::packed::UnpackedFrames;
 use super::phases::Phases;
 use super::regions::REGION_TILES;

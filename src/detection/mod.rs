@@ -24,6 +24,7 @@ mod disc;
 mod dispatch;
 mod doubt;
 mod error;
+mod evening;
 mod expected;
 mod extents;
 mod finds;
