@@ -2,7 +2,7 @@
 
 use super::blobs::{Blob, BlobFinder, Images, LARGE_SIDE_PX};
 use super::bodies::Bodies;
-use super::candidates::{apart, candidate, look_at, small_ball};
+use super::candidates::{apart, candidate, small_ball};
 use super::config::DetectorConfig;
 use super::dispatch::{Isa, Kernels};
 use super::error::{DetectionError, check_size};
@@ -28,8 +28,6 @@ const LARGE_BLOBS_MAX: usize = 8;
 /// A blob with a longer side may be a ball and something else, and so many of these are looked into.
 const MIXED_SIDE_MIN_PX: usize = 12;
 const MIXED_BLOBS_MAX: usize = 16;
-/// Most expected balls of one frame.
-const EXPECTED_MAX: usize = 16;
 
 /// Who is told the candidates, and may know better where to look.
 pub trait Answers {
@@ -65,13 +63,13 @@ pub struct DetectorCounters {
 
 /// One camera's detector.
 pub struct Detector {
-    config: DetectorConfig,
+    pub(super) config: DetectorConfig,
     pub(super) width_px: usize,
     pub(super) height_px: usize,
     pub(super) kernels: Kernels,
     pub(super) history: History,
     pub(super) unpacked: UnpackedFrames,
-    scan: Scan,
+    pub(super) scan: Scan,
     lag: usize,
     next_lag: usize,
     next_answer: usize,
@@ -80,9 +78,9 @@ pub struct Detector {
     bodies: Bodies,
     movers: MoverSearch,
     looked: Looked,
-    found: Finds,
+    pub(super) found: Finds,
     restless: Restless,
-    expected: Vec<ExpectedBall>,
+    pub(super) expected: Vec<ExpectedBall>,
     detections: Vec<Detection>,
     patches: PatchPool,
     counters: DetectorCounters,
@@ -452,36 +450,6 @@ impl Detector {
                         expected: false,
                     });
                 }
-            }
-        }
-    }
-
-    /// Weak candidates where balls are expected. Branches of one path expect nearly the same: one look serves them all.
-    fn look_where_expected(&mut self, images: &Images<'_>, stamp: FrameStamp) {
-        let mut distinct = 0;
-        for index in 0..self.expected.len() {
-            let (before, rest) = self.expected.split_at(index);
-            let Some(expected) = rest.first() else { break };
-            if before.iter().any(|other| other.is_like(expected)) {
-                continue;
-            }
-            distinct += 1;
-            if distinct > EXPECTED_MAX {
-                break;
-            }
-            let sigma = self.scan.noise.difference_sigma(
-                expected.centre.y.max(0.0) as usize / TILE_HEIGHT_PX,
-                expected.centre.x.max(0.0) as usize / TILE_WIDTH_PX,
-            );
-            if let Some(found) = look_at(images, expected, sigma, &self.config, stamp)
-                && self.found.all().all(|other| apart(&other.detection, &found.0))
-            {
-                self.found.push(Found {
-                    detection: found.0,
-                    blob: found.1,
-                    behind: Behind::Far,
-                    expected: true,
-                });
             }
         }
     }
