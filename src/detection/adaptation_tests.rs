@@ -86,6 +86,10 @@ fn moved(stand: &Canvas, shift_px: f64) -> Canvas {
 
 /// Share of these frames with the ball among the candidates, and the mean number of other candidates.
 fn score(found: &ByFrame, frames: std::ops::Range<u64>) -> (f64, f64) {
+    score_of((found, ball), frames)
+}
+
+fn score_of((found, ball): (&ByFrame, impl Fn(u64) -> Ball), frames: std::ops::Range<u64>) -> (f64, f64) {
     let (mut hits, mut others) = (0.0, 0.0);
     let count = (frames.end - frames.start) as f64;
     for number in frames {
@@ -100,7 +104,11 @@ fn score(found: &ByFrame, frames: std::ops::Range<u64>) -> (f64, f64) {
 }
 
 fn assert_followed(name: &str, found: &ByFrame, frames: std::ops::Range<u64>) {
-    let (recall, others) = score(found, frames);
+    assert_followed_along(name, (found, ball), frames);
+}
+
+fn assert_followed_along(name: &str, found: (&ByFrame, impl Fn(u64) -> Ball), frames: std::ops::Range<u64>) {
+    let (recall, others) = score_of(found, frames);
     println!("{name}: recall {recall:.3}, {others:.2} other candidates a frame");
     assert!(recall > 0.97, "{name}: recall {recall}");
     assert!(others < 1.0, "{name}: {others} other candidates a frame");
@@ -161,6 +169,30 @@ fn a_ball_as_dim_as_the_stand_is_found_while_lamps_flicker() {
     };
     let (found, _) = search_for(dim_ball, 2 * SECOND, stand, |number, _| wave(number, 0.0));
     assert_followed("before a bright stand", &found, SECOND..2 * SECOND - 6);
+}
+
+#[test]
+fn a_dim_ball_is_found_where_two_lamps_meet_in_a_cell() {
+    // A bright board above the dark ground, at row 72 of the cell of rows 64 to 95: one is brightest when the other is darkest.
+    let board = |number: u64, stand: &Canvas| {
+        let mut canvas = moved(stand, 0.0);
+        let turn = std::f64::consts::TAU * 120.0 * number as f64 / RATE_HZ;
+        let rise = 0.1 * turn.sin() as f32;
+        for (i, level) in canvas.light.iter_mut().enumerate() {
+            *level = match i / WIDTH {
+                ..72 => (100.0 + *level) * (1.0 - rise),
+                _ => (40.0 + 0.1 * *level) * (1.0 + rise),
+            };
+        }
+        canvas
+    };
+    // Along the border, its top before the board, in the two whole cells of a row.
+    let along = |number: u64| Ball {
+        centre: [15.0 + (11.3 * number as f64) % 230.0, 74.0],
+        ..dim_ball(number)
+    };
+    let (found, _) = search_for(along, 2 * SECOND, board, |_, _| 1.0);
+    assert_followed_along("two lamps in a cell", (&found, along), SECOND..2 * SECOND - 6);
 }
 
 #[test]

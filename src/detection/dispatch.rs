@@ -1,7 +1,7 @@
 //! Chooses the instruction set of the pixel loops at run time; the only file of the room with `unsafe`.
 #![allow(unsafe_code)]
 
-use super::evening;
+use super::evening::{self, Evening};
 use super::extents::{self, Columns, Extent};
 use super::fronts::{self, Piece};
 use super::kernel::{self, Limits, WindowSums};
@@ -165,7 +165,7 @@ dispatched!(
 dispatched!(
     evening:
     /// See [`evening::even_row`].
-    even_row(row: &[u8], length: usize, scales: &[u16], even: &mut [u8])
+    even_row(row: &[u8], length: usize, evenings: &[Evening], even: &mut [u8])
 );
 dispatched!(
     kernel:

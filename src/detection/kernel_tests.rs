@@ -73,11 +73,13 @@ proptest! {
                 let by_hand: [u32; 2] = [rows().map(|(c, _)| sum(c)).sum(), rows().map(|(_, a)| sum(a)).sum()];
                 assert_eq!(*sums, by_hand);
             }
-            let (scales, mut even) = ([700 + 4 * u16::from(clip), evening::EVEN_UNIT], vec![0; width]);
-            kernels.even_row(&c[..width], 40, &scales, &mut even);
+            let evening = evening::Evening { scale: 700 + 4 * u16::from(clip), offset: 41 - i16::from(clip) };
+            let (evenings, mut even) = ([evening, evening::Evening::NONE], vec![0; width]);
+            kernels.even_row(&c[..width], 40, &evenings, &mut even);
             for (i, (even, level)) in even.iter().zip(c).enumerate().take(80) {
-                let level = f64::from(*level) * f64::from(scales[i / 40]) / f64::from(evening::EVEN_UNIT);
-                assert!((f64::from(*even) - level.min(255.0)).abs() <= 0.5, "{level} gives {even}");
+                let evening::Evening { scale, offset } = evenings[i / 40];
+                let level = f64::from(*level) * f64::from(scale) / 1024.0 + 0.5 * f64::from(offset);
+                assert!((f64::from(*even) - level.clamp(0.0, 255.0)).abs() <= 0.5, "{level} gives {even}");
             }
             (tiles, masks, both, sizes)
         };

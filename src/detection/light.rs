@@ -4,11 +4,13 @@
 //! frame to frame: more than a ball before what is dark stands out by, once the threshold follows what is bright. So where
 //! much of the picture does that, frames are searched in a copy in which each cell has the light of the frame before. Factors
 //! are told by the picture itself: tile by tile the sums of some rows are compared with the frame before, and what half of the
-//! tiles of a cell agree on is the cell's. What moves before it, or a ball, is in few of them.
+//! tiles of a cell agree on is the cell's. What moves before it, or a ball, is in few of them. Where two lamps meet in a cell it
+//! is a line instead of a factor ([`super::lamps`]).
 
 use super::dispatch::Kernels;
-use super::evening::EVEN_UNIT;
+use super::evening::{EVEN_HALF, EVEN_UNIT, Evening};
 use super::kernel::{TILE_HEIGHT_PX, TILE_WIDTH_PX};
+use super::lamps::{CellTiles, LightStep, TILES_MAX};
 use super::packed::UnpackedFrames;
 use super::phases::Phases;
 use super::regions::REGION_TILES;
@@ -16,9 +18,7 @@ use crate::scene::Frame;
 
 /// Tile rows of a cell; it has the tile columns of a region.
 pub const CELL_BANDS: usize = 4;
-const CELL_TILES: usize = CELL_BANDS * REGION_TILES;
-// A tile's number within its cell has four bits.
-const _: () = assert!(CELL_TILES <= 16);
+const _: () = assert!(CELL_BANDS * REGION_TILES <= TILES_MAX);
 /// Rows of a tile that are summed.
 const ROWS: [usize; 2] = [1, 5];
 /// A cell flickers where the mean of its levels changes by so much from frame to frame.
@@ -27,8 +27,9 @@ const STEP_MIN: f32 = 1.25;
 const CELLS_PER_FLICKERING: usize = 16;
 /// The light that frames are evened to follows their mean: within some seconds.
 const FOLLOWED: f32 = 1.0 / 256.0;
-/// Of what is no flicker frames are not evened by more.
+/// Of what is no flicker frames are not evened by more: factors, and levels either way.
 const SCALE_LIMITS: [f32; 2] = [0.5, 2.0];
+const OFFSET_MAX: f32 = 60.0;
 
 /// The light of each cell.
 pub struct Light {
@@ -38,12 +39,12 @@ pub struct Light {
     columns: usize,
     /// Mean change from frame to frame, levels.
     steps: Vec<f32>,
-    /// What the levels of the newest frame are multiplied by.
-    scales: Vec<f32>,
+    /// What makes of the newest frame's levels those under even light.
+    evenings: Vec<LightStep>,
     /// Of the bands of a row of cells: of each tile in the newest frame and in the one before.
     sums: Vec<[u32; 2]>,
-    /// What those of a row of cells are multiplied by, in parts of [`EVEN_UNIT`].
-    units: Vec<u16>,
+    /// The same of a row of cells, as it is applied.
+    applied: Vec<Evening>,
     evens: bool,
     /// Of the light as it is.
     phases: Phases,
@@ -61,9 +62,9 @@ impl Light {
             size_px: (width_px, height_px),
             columns,
             steps: vec![0.0; cells],
-            scales: vec![1.0; cells],
+            evenings: vec![LightStep::NONE; cells],
             sums: vec![[0; 2]; tiles * CELL_BANDS],
-            units: vec![EVEN_UNIT; columns],
+            applied: vec![Evening::NONE; columns],
             evens: false,
             phases: Phases::new(columns, lag_max),
             memory: UnpackedFrames::default(),
@@ -78,7 +79,7 @@ impl Light {
         let evens = flickering * share >= self.steps.len().max(1);
         if evens != self.evens {
             tracing::debug!(flickering, cells = self.steps.len(), evens, "lamps flicker");
-            self.scales.fill(1.0);
+            self.evenings.fill(LightStep::NONE);
         }
         self.evens = evens;
         evens
@@ -103,7 +104,7 @@ impl Light {
     /// A frame under the light of the one before, both given as they are. The first of a window shows the light to follow.
     pub fn even(&mut self, frame: &Frame, before: Option<&Frame>) -> Option<Frame> {
         let Some(before) = before else {
-            self.scales.fill(1.0);
+            self.evenings.fill(LightStep::NONE);
             return None;
         };
         let (width, height) = self.size_px;
@@ -116,7 +117,7 @@ impl Light {
             let rows = current.chunks(width).zip(even.chunks_mut(width));
             for (current, even) in rows {
                 self.kernels
-                    .even_row(current, TILE_WIDTH_PX * REGION_TILES, &self.units, even);
+                    .even_row(current, TILE_WIDTH_PX * REGION_TILES, &self.applied, even);
             }
         }
         Some(self.memory.frame_of(frame.stamp, self.size_px, levels))
@@ -138,27 +139,38 @@ impl Light {
             }
         }
         let cells = row * self.columns..(row + 1) * self.columns;
-        let (Some(steps), Some(scales)) = (self.steps.get_mut(cells.clone()), self.scales.get_mut(cells))
+        let (Some(steps), Some(evenings)) = (self.steps.get_mut(cells.clone()), self.evenings.get_mut(cells))
         else {
             return;
         };
-        for (cell, ((step, scale), unit)) in steps.iter_mut().zip(scales).zip(&mut self.units).enumerate() {
+        let cells = steps.iter_mut().zip(evenings).zip(&mut self.applied);
+        for (cell, ((step, evening), applied)) in cells.enumerate() {
             let first = cell * REGION_TILES;
             let of_cell = self
                 .sums
                 .chunks(tiles)
                 .flat_map(|band| band.iter().skip(first).take(REGION_TILES));
-            let (now, before, count) = agreed(of_cell);
-            if before > 0 && now > 0 {
-                let (now, before) = (now as f32, before as f32);
-                *scale = (*scale * before / now).clamp(SCALE_LIMITS[0], SCALE_LIMITS[1]);
-                let pixels = (count * ROWS.len() * TILE_WIDTH_PX) as f32;
-                follow(step, (now - before).abs() / pixels, 0.05);
-                self.phases.take(cell, (now - before) / pixels);
+            if let Some((light, change)) = CellTiles::new(of_cell).step(ROWS.len() * TILE_WIDTH_PX) {
+                *evening = light.then(*evening);
+                follow(step, change.abs(), 0.05);
+                self.phases.take(cell, change);
             }
-            *scale += FOLLOWED * (1.0 - *scale);
-            *unit = (*scale * f32::from(EVEN_UNIT) + 0.5) as u16;
+            *evening = settled(*evening);
+            *applied = Evening {
+                scale: (evening.gain * f32::from(EVEN_UNIT) + 0.5) as u16,
+                offset: (evening.offset * f32::from(EVEN_HALF)).round() as i16,
+            };
         }
+    }
+}
+
+/// Within limits, and a little nearer to the light as it is.
+fn settled(evening: LightStep) -> LightStep {
+    let gain = evening.gain.clamp(SCALE_LIMITS[0], SCALE_LIMITS[1]);
+    let offset = evening.offset.clamp(-OFFSET_MAX, OFFSET_MAX);
+    LightStep {
+        gain: gain + FOLLOWED * (1.0 - gain),
+        offset: (1.0 - FOLLOWED) * offset,
     }
 }
 
@@ -166,26 +178,4 @@ impl Light {
 fn follow(step: &mut f32, measured: f32, share: f32) {
     let share = if measured > *step { share } else { 0.25 * share };
     *step += share * (measured - *step);
-}
-
-/// The sums of the half of the tiles whose ratio is in the middle, now and before, and how many these are.
-fn agreed<'a>(tiles: impl Iterator<Item = &'a [u32; 2]>) -> (u32, u32, usize) {
-    let (mut all, mut by_ratio, mut count) = ([[0; 2]; CELL_TILES], [u32::MAX; CELL_TILES], 0);
-    for (sums, (slot, key)) in tiles
-        .filter(|[now, before]| *now > 0 && *before > 0)
-        .zip(all.iter_mut().zip(&mut by_ratio))
-    {
-        let [now, before] = *sums;
-        *slot = *sums;
-        // Ratios up to 64 in steps of 2⁻²⁰, with the place in the lowest bits.
-        let ratio = (u64::from(now) << 20) / u64::from(before);
-        *key = (ratio.min((1 << 26) - 1) as u32) << 4 | count as u32;
-        count += 1;
-    }
-    let keys = by_ratio.get_mut(..count).unwrap_or_default();
-    keys.sort_unstable();
-    let middle = keys.get(count / 4..count - count / 4).unwrap_or_default();
-    let sums = middle.iter().filter_map(|key| all.get((key & 15) as usize));
-    let (now, before) = sums.fold((0, 0), |(now, before), sums| (now + sums[0], before + sums[1]));
-    (now, before, middle.len())
 }

@@ -34,6 +34,7 @@ mod history;
 mod kernel;
 #[cfg(test)]
 mod lag_tests;
+mod lamps;
 mod lanes;
 mod light;
 mod looked;
