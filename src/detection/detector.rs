@@ -320,6 +320,16 @@ impl Detector {
         }
     }
 
+    /// The images as they came, not evened.
+    fn images_as_seen<'a>(&self, triple: &Triple<'a>) -> Images<'a> {
+        Images {
+            current: triple.current.frame.bytes(),
+            one: triple.one.frame.bytes(),
+            other: triple.other.frame.bytes(),
+            ..self.images(triple)
+        }
+    }
+
     fn answer(
         &mut self,
         (index, triple): (usize, &Triple<'_>),
@@ -358,8 +368,9 @@ impl Detector {
             .found
             .keep_strongest(self.config.candidates_max, &self.restless);
         self.counters.candidates_dropped += extra as u64;
-        // What is behind a ball is seen best in the light that is on it.
-        let far = alike.map_or(images, |alike| self.images(alike));
+        // What is behind a ball is seen best in the light that is on it, and as it came: evened, a ball across the border of
+        // two cells has a step.
+        let far = alike.map_or(images, |alike| self.images_as_seen(alike));
         for found in self.found.all() {
             let behind = near
                 .as_ref()

@@ -149,6 +149,7 @@ fn where_lamps_flicker_a_ball_is_kept_with_frames_of_like_light() {
     let mismatch = |flicker: f64| {
         let stand = Canvas::stand(WIDTH, HEIGHT, 5, 20.0);
         let (mut detector, mut found) = (detector(1), InOrder::default());
+        let mut came = Vec::new();
         for number in 0..120 {
             let turn = std::f64::consts::TAU * 120.0 * number as f64 / RATE_HZ;
             let mut canvas = stand.clone();
@@ -162,6 +163,7 @@ fn where_lamps_flicker_a_ball_is_kept_with_frames_of_like_light() {
             }
             let frame = canvas.frame(number, RATE_HZ, 1.2);
             detector.detect(&frame, &mut found).unwrap();
+            came.push(frame);
         }
         let off = |(frame, all): (&u64, &Vec<Detection>)| {
             let [x, y] = ball(frame.checked_sub(100)?).centre;
@@ -169,6 +171,10 @@ fn where_lamps_flicker_a_ball_is_kept_with_frames_of_like_light() {
             let seen = all.iter().find(near)?;
             let cut_outs = detector.point_cut_outs(&track_of(seen));
             let patch = cut_outs.find(seen.stamped, seen.centre)?;
+            // As the frame came.
+            let row = patch.top * WIDTH + patch.left;
+            let bytes = &came[*frame as usize].bytes()[row..row + patch.width];
+            assert_eq!(&patch.current[..patch.width], bytes, "frame {frame}");
             // Three rows above the ball.
             let pairs = patch.current.iter().zip(patch.one).take(3 * patch.width);
             let sum: f64 = pairs.map(|(a, b)| f64::from(a.abs_diff(*b))).sum();
