@@ -81,8 +81,8 @@ pub struct Detector {
     pub(super) found: Finds,
     restless: Restless,
     pub(super) expected: Vec<ExpectedBall>,
-    detections: Vec<Detection>,
-    patches: PatchPool,
+    pub(super) detections: Vec<Detection>,
+    pub(super) patches: PatchPool,
     counters: DetectorCounters,
 }
 
@@ -379,6 +379,7 @@ impl Detector {
             self.patches.keep(behind, &found.blob, &found.detection);
             self.detections.push(found.detection);
         }
+        self.keep_where_missed(&far, stamp);
         answers.answer(stamp, &self.detections);
     }
 

@@ -11,8 +11,9 @@ use nalgebra::Vector2;
 
 use super::blobs::{Blob, Images};
 use super::dispatch::fetch_ahead;
+use super::expected::ExpectedBall;
 use crate::geometry::Pixel;
-use crate::scene::{Detection, Track, TrackPoint};
+use crate::scene::{Detection, FrameStamp, Track, TrackPoint};
 use crate::time::StampedMidpoint;
 
 /// Pixels around a blob's box that are kept too.
@@ -39,6 +40,16 @@ struct Header {
     offset: usize,
     difference_sigma: f32,
     radius_px: f64,
+    kept_for: KeptFor,
+}
+
+/// Why a cut-out is kept.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum KeptFor {
+    /// What may be a ball was found there.
+    Candidate,
+    /// A ball was expected there, and none found.
+    Expected,
 }
 
 /// A cut-out: the frame and its two references, row by row.
@@ -85,6 +96,7 @@ impl PatchPool {
             offset: 0,
             difference_sigma: 0.0,
             radius_px: 0.0,
+            kept_for: KeptFor::Candidate,
         };
         let mut headers = VecDeque::from(vec![unused; capacity_bytes / 512]);
         headers.clear();
@@ -98,15 +110,70 @@ impl PatchPool {
     /// Keeps the surroundings of a blob under the stamp and centre of its detection.
     pub fn keep(&mut self, images: &Images<'_>, blob: &Blob, detection: &Detection) {
         let (stamped, centre) = (detection.stamped, detection.centre);
-        if self.headers.back().is_some_and(|newest| newest.stamped > stamped) {
-            self.headers.clear();
-        }
         let [sx, sy] = detection.streak_px;
         let reach = REACH_RADII * detection.radius_px + REACH_STREAKS * sx.hypot(sy) + REACH_MARGIN_PX;
         let reach = reach.min(REACH_MAX_PX);
         let (left, width) = span((blob.left, blob.right), centre.x, reach, images.width_px);
         let (top, height) = span((blob.top, blob.bottom), centre.y, reach, images.height_px);
-        let size = 3 * width * height;
+        let header = Header {
+            frame: detection.frame,
+            stamped,
+            centre,
+            left,
+            top,
+            width,
+            height,
+            offset: 0,
+            difference_sigma: blob.difference_sigma,
+            radius_px: detection.radius_px,
+            kept_for: KeptFor::Candidate,
+        };
+        self.copy(images, header);
+    }
+
+    /// Keeps the surroundings of a place where a ball is expected and none was found, for a track that lacks this frame;
+    /// with the σ of a frame difference there, levels.
+    pub fn keep_expected(
+        &mut self,
+        images: &Images<'_>,
+        expected: &ExpectedBall,
+        (stamp, difference_sigma): (FrameStamp, f32),
+    ) {
+        let centre = expected.centre;
+        let reach = REACH_RADII * expected.radius_px + expected.reach_px + REACH_MARGIN_PX;
+        let reach = reach.min(REACH_MAX_PX);
+        let (left, width) = span((0, images.width_px), centre.x, reach, images.width_px);
+        let (top, height) = span((0, images.height_px), centre.y, reach, images.height_px);
+        let header = Header {
+            frame: stamp.frame,
+            stamped: stamp.stamped,
+            centre,
+            left,
+            top,
+            width,
+            height,
+            offset: 0,
+            difference_sigma,
+            radius_px: expected.radius_px,
+            kept_for: KeptFor::Expected,
+        };
+        self.copy(images, header);
+    }
+
+    /// Copies the pixels of a cut-out and keeps it.
+    fn copy(&mut self, images: &Images<'_>, header: Header) {
+        let Header {
+            left,
+            top,
+            width,
+            height,
+            ..
+        } = header;
+        let newest = self.headers.back().map(|newest| newest.stamped);
+        if newest > Some(header.stamped) {
+            self.headers.clear();
+        }
+        let size = 3 * header.size();
         if size == 0 || size > self.bytes.len() {
             return;
         }
@@ -141,16 +208,8 @@ impl PatchPool {
         }
         self.next = end;
         self.headers.push_back(Header {
-            frame: detection.frame,
-            stamped,
-            centre,
-            left,
-            top,
-            width,
-            height,
             offset: begin,
-            difference_sigma: blob.difference_sigma,
-            radius_px: detection.radius_px,
+            ..header
         });
     }
 
@@ -174,7 +233,8 @@ impl PatchPool {
         self.copy_of(&self.within(track, |header| is_of_a_point(&track.points, header)))
     }
 
-    /// The cut-outs wanted between the ends of a track; of one frame only the largest: a crowd has many.
+    /// The cut-outs wanted between the ends of a track; of one frame only the largest candidate's (a crowd has
+    /// many), and the largest of those expected, which may be a wrong path's.
     fn within(&self, track: &Track, wanted: impl Fn(&Header) -> bool) -> Vec<&Header> {
         let Some((first, last)) = track.span() else {
             return Vec::new();
@@ -183,7 +243,7 @@ impl PatchPool {
         let mut headers: Vec<&Header> = Vec::with_capacity(track.points.len());
         let between = self.headers.range(begin..).take_while(|h| h.stamped <= last);
         for header in between.filter(|h| wanted(h)) {
-            match headers.last_mut().filter(|last| last.stamped == header.stamped) {
+            match headers.last_mut().filter(|last| last.is_like(header)) {
                 Some(last) if last.size() < header.size() => *last = header,
                 Some(_) => {}
                 None => headers.push(header),
@@ -265,6 +325,11 @@ impl Header {
         self.width * self.height
     }
 
+    /// Of the same frame, and kept for the same.
+    fn is_like(&self, other: &Self) -> bool {
+        self.stamped == other.stamped && self.kept_for == other.kept_for
+    }
+
     fn holds(&self, place_px: Vector2<f64>, reach_px: f64) -> bool {
         let within = |place: f64, first: usize, count: usize| {
             place - reach_px >= first as f64 && place + reach_px < (first + count) as f64
@@ -316,16 +381,20 @@ mod tests {
         StampedMidpoint::from_seconds_since(0, frame as f64 / 175.0)
     }
 
-    fn keep(pool: &mut PatchPool, frame: u64, x: f64, y: f64) {
-        let image = vec![0; 600 * 100];
-        let images = Images {
+    fn images(image: &[u8]) -> Images<'_> {
+        Images {
             kernels: Kernels::new(Isa::detect()),
             width_px: 600,
             height_px: 100,
-            current: &image,
-            one: &image,
-            other: &image,
-        };
+            current: image,
+            one: image,
+            other: image,
+        }
+    }
+
+    fn keep(pool: &mut PatchPool, frame: u64, x: f64, y: f64) {
+        let image = vec![0; 600 * 100];
+        let images = images(&image);
         let blob = Blob {
             left: x as usize - 2,
             right: x as usize + 2,
@@ -380,5 +449,51 @@ mod tests {
         assert_eq!(others.count(), 0);
         let points: Vec<u64> = pool.of_points(&track).frames().map(|(frame, _)| frame).collect();
         assert_eq!(points, (20..30).collect::<Vec<u64>>());
+    }
+
+    /// A ball in frames 20–29, found in all but frame 25; there and after the end one is expected.
+    #[test]
+    fn what_was_expected_is_kept_for_the_gaps_of_a_track_and_leads_nowhere() {
+        let image = vec![0; 600 * 100];
+        let images = images(&image);
+        let place = |frame: u64| Pixel::new(20.0 + STEP_PX * frame as f64, 50.0);
+        let mut pool = PatchPool::new(1 << 20);
+        let found = |frame: &u64| (20..30).contains(frame) && *frame != 25;
+        for frame in 20..34 {
+            if found(&frame) {
+                keep(&mut pool, frame, place(frame).x, place(frame).y);
+                continue;
+            }
+            let expected = ExpectedBall {
+                centre: place(frame),
+                reach_px: 2.0,
+                radius_px: 3.0,
+            };
+            let stamp = FrameStamp {
+                frame,
+                device: None,
+                arrival: None,
+                stamped: stamped(frame),
+            };
+            pool.keep_expected(&images, &expected, (stamp, 2.0));
+        }
+        let points = (20..30).filter(found).map(|frame| TrackPoint {
+            frame,
+            stamped: stamped(frame),
+            pixel: place(frame),
+            covariance_px2: None,
+        });
+        let track = Track {
+            camera: CameraId::new("a").unwrap(),
+            track: 0,
+            points: points.collect(),
+        };
+        let own = pool.of_track(&track);
+        let frames: Vec<u64> = own.frames().map(|(frame, _)| frame).collect();
+        assert_eq!(frames, (20..30).collect::<Vec<u64>>());
+        // Two radii, the reach and 12 px around the place.
+        let around = |reach_px: f64| own.around(stamped(25), place(25).vector(), reach_px);
+        assert!(around(19.5).is_some() && around(20.5).is_none());
+        assert_eq!(pool.of_points(&track).frames().count(), 9);
     }
 }

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use nalgebra::Vector2;
 
-use super::Header;
+use super::{Header, KeptFor};
 use crate::scene::{Track, TrackPoint};
 use crate::time::StampedMidpoint;
 
@@ -66,7 +66,8 @@ impl GoingOn {
     pub fn among<'a>(mut self, headers: impl Iterator<Item = &'a Header>) -> Vec<&'a Header> {
         let mut found: Vec<&Header> = Vec::new();
         let mut nearest: Option<(f64, &Header)> = None;
-        for header in headers {
+        // What was only expected says nothing of where it goes.
+        for header in headers.filter(|h| h.kept_for == KeptFor::Candidate) {
             if let Some((_, last)) = nearest.filter(|(_, last)| last.stamped != header.stamped) {
                 self.go_to(last);
                 found.push(last);
