@@ -138,3 +138,7 @@ pub fn from_file(mut calibration: Calibration) -> CalibrationInUse {
         .collect();
     (calibration, epochs)
 }
+
+#[cfg(test)]
+#[path = "calibrating_tests.rs"]
+mod tests;

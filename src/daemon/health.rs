@@ -61,6 +61,8 @@ pub struct CameraHealth {
     pub refused: AtomicU64,
     /// Balls that got no second look, because too many came at once.
     pub balls_lost: AtomicU64,
+    /// Stills of home plate that nobody took, because too many waited.
+    pub stills_lost: AtomicU64,
     /// Whether what may be a ball is being followed.
     pub in_flight: AtomicBool,
     /// Tracks of pitched balls.
@@ -93,6 +95,7 @@ impl CameraHealth {
             processed: AtomicU64::new(0),
             refused: AtomicU64::new(0),
             balls_lost: AtomicU64::new(0),
+            stills_lost: AtomicU64::new(0),
             in_flight: AtomicBool::new(false),
             tracks: AtomicU64::new(0),
             losses: AtomicU64::new(0),
@@ -115,7 +118,7 @@ impl CameraHealth {
         let get = |n: &AtomicU64| n.load(Ordering::Relaxed);
         format!(
             "{} {:?}: {} frames, {} processed, {} missing ({} incomplete, {} without buffer, {} of another shape), {} dropped before detection, \
-             {} refused, {} tracks, {} balls not looked at, lost {} times, arrival to detected {}, path's end to fitted {}",
+             {} refused, {} tracks, {} balls not looked at, {} stills not taken, lost {} times, arrival to detected {}, path's end to fitted {}",
             self.camera,
             self.state(),
             get(&self.frames),
@@ -128,6 +131,7 @@ impl CameraHealth {
             get(&self.refused),
             get(&self.tracks),
             get(&self.balls_lost),
+            get(&self.stills_lost),
             get(&self.losses),
             self.latency.in_words(),
             self.second_look.in_words(),

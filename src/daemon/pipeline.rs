@@ -16,7 +16,7 @@
 //! | `cap-<id>` | the camera | frames (in place, from its pool) | (1) ¾ of the pool | the frame is dropped, counted as `dropped` |
 //! | `eye-<id>` | frames | balls whose paths have ended | (2) 64 | the ball is lost, counted, logged as an error |
 //! | | | balls in flight | (13) 64 | dropped: the next frame tells again |
-//! | | | stills of home plate, to `calibrate` | (18) 16 | dropped: a better one comes |
+//! | | | stills of home plate, to `calibrate` | (18) 16 | dropped, counted: a better one comes |
 //! | `look-<id>` | balls | tracks of pitched balls | (3) 256 tracks | waits; (2) then loses balls |
 //! | | | what it found, for the eye | (12) 4 | dropped: the next ball tells again |
 //! | `assemble` | tracks, (5) | pitches | (6) 64 pitches | the pitch is not published, logged as an error |

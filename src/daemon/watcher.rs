@@ -144,7 +144,9 @@ impl Watcher<'_> {
         if image.is_some_and(|image| still.take(&image)) {
             // Only a help: the next one says more.
             let told = (self.health.camera.clone(), still.clone());
-            let _ = self.channels.stills.try_send(told);
+            if self.channels.stills.try_send(told).is_err() {
+                self.health.stills_lost.fetch_add(1, Ordering::Relaxed);
+            }
         }
     }
 
@@ -264,3 +266,7 @@ fn stamps_by_one_line(
     };
     frames.into_iter().filter_map(stamped).collect()
 }
+
+#[cfg(test)]
+#[path = "watcher_tests.rs"]
+mod tests;
