@@ -60,7 +60,8 @@ const UNLIKE_MIN: f64 = 0.3;
 const UNEXPLAINED_MIN: f64 = 0.01;
 /// This share of the pixels on the plate, and beside it, must have a say.
 const SAY_MIN: f64 = 0.6;
-/// Texture is no such field in truth: σ counts so many times (rendered stills: 1.3 times is what errors are).
+/// Texture is no such field in truth: σ counts so many times (errors in rendered stills are 1.1 to
+/// 1.6 times what it would be).
 const UNTRUE: f64 = 2.0;
 /// σ of a plate's place at least, and the largest that is of use, pixels.
 const SIGMA_PX: [f64; 2] = [0.05, 0.4];
