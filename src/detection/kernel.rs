@@ -119,9 +119,8 @@ fn piece_changes_more(current: &[u8], previous: &[u8], limit: u8) -> bool {
     changes.fold(0, |any, (c, p)| any | c.abs_diff(*p).saturating_sub(limit)) != 0
 }
 
-/// Pixels that a step of a sum takes, and steps whose sums fit sixteen bits.
-const SUM_STEP_PX: usize = 32;
-const SUM_STEPS_MAX: usize = 256;
+/// Pixels that a step of a sum takes.
+const SUM_STEP_PX: usize = 64;
 
 /// Pixels change together where lamps flicker, many by a few levels; an edge that moves changes few by many. So of a rise or a
 /// fall no more counts, levels.
@@ -144,34 +143,38 @@ pub fn clipped_change_sums(
 
 #[inline(always)]
 fn clipped_change_sum(current: &[u8], previous: &[u8], clip: u8) -> [u32; 3] {
-    const PIECE_PX: usize = SUM_STEP_PX * SUM_STEPS_MAX;
+    // As many steps as a byte holds the clipped changes of; the piece of a region takes two.
+    let steps = usize::from(u8::MAX / clip.max(STEP_CLIP));
     let mut sums = [0; 3];
-    for (current, previous) in current.chunks(PIECE_PX).zip(previous.chunks(PIECE_PX)) {
-        let ((c_steps, c_rest), (p_steps, p_rest)) = (current.as_chunks(), previous.as_chunks());
-        let mut lanes = [[0u16; SUM_STEP_PX]; 3];
-        for (c, p) in c_steps.iter().zip(p_steps) {
+    let ((c_steps, c_rest), (p_steps, p_rest)) = (current.as_chunks(), previous.as_chunks());
+    for (current, previous) in c_steps.chunks(steps).zip(p_steps.chunks(steps)) {
+        let mut lanes = [[0u8; SUM_STEP_PX]; 3];
+        for (c, p) in current.iter().zip(previous) {
             let (c, p): (&[u8; SUM_STEP_PX], &[u8; SUM_STEP_PX]) = (c, p);
             for i in 0..SUM_STEP_PX {
-                lanes[0][i] += u16::from(c[i].abs_diff(p[i]).min(clip));
-                lanes[1][i] += u16::from(c[i].saturating_sub(p[i]).min(STEP_CLIP));
-                lanes[2][i] += u16::from(p[i].saturating_sub(c[i]).min(STEP_CLIP));
+                let [change, rise, fall] = clipped_change(c[i], p[i], clip);
+                lanes[0][i] += change;
+                lanes[1][i] += rise;
+                lanes[2][i] += fall;
             }
         }
         for (sum, lanes) in sums.iter_mut().zip(lanes) {
             *sum += lanes.iter().map(|lane| u32::from(*lane)).sum::<u32>();
         }
-        for (c, p) in c_rest.iter().zip(p_rest) {
-            let rest = [
-                c.abs_diff(*p).min(clip),
-                c.saturating_sub(*p).min(STEP_CLIP),
-                p.saturating_sub(*c).min(STEP_CLIP),
-            ];
-            for (sum, change) in sums.iter_mut().zip(rest) {
-                *sum += u32::from(change);
-            }
+    }
+    for (c, p) in c_rest.iter().zip(p_rest) {
+        for (sum, change) in sums.iter_mut().zip(clipped_change(*c, *p, clip)) {
+            *sum += u32::from(change);
         }
     }
     sums
+}
+
+/// Of one pixel: the change up to `clip`, rise and fall up to [`STEP_CLIP`].
+#[inline(always)]
+fn clipped_change(current: u8, previous: u8, clip: u8) -> [u8; 3] {
+    let (rise, fall) = (current.saturating_sub(previous), previous.saturating_sub(current));
+    [(rise | fall).min(clip), rise.min(STEP_CLIP), fall.min(STEP_CLIP)]
 }
 
 /// Reads both slices once and does next to nothing: the speed of memory, for the bench.
