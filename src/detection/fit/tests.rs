@@ -1,5 +1,6 @@
 //! The fit on painted balls whose centre is known.
 
+use super::shared::KNOWN_SIGMA_SHARE;
 use super::*;
 use crate::detection::painter::{Ball, Canvas};
 use crate::scene::Frame;
