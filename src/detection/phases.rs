@@ -47,7 +47,7 @@ impl Phases {
     pub fn take(&mut self, column: usize, change: f32) {
         if let Some((sum, count)) = self.taken.get_mut(column) {
             *sum += change;
-            *count += 1;
+            *count = count.saturating_add(1);
         }
     }
 
