@@ -239,7 +239,7 @@ fn sightings_of(rig: &Rig, camera: usize, resection: &Resection) -> Vec<Sighting
             world_m: l.position.world_m,
             world_sigma_m: l.position.world_sigma_m,
             pixel: l.pixel,
-            sigma_px: l.sigma_px.max(1e-3),
+            sigma_px: l.sigma_px.map(|sigma| sigma.max(1e-3)),
         })
         .collect()
 }

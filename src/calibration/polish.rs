@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::curves::{Curves, ImageCurve};
 use super::path::{Path, PathPrior, Ray};
-use super::resection::Sighting;
+use super::resection::{Sighting, sigma_px};
 use crate::geometry::{Intrinsics, Pose};
 
 /// Residuals are cut off here, sigmas.
@@ -155,10 +155,8 @@ impl Evidence<'_> {
                 let c = pose.transform(&s.world_m);
                 match self.lenses[camera].project(&c) {
                     Ok(p) => {
-                        let sigma = s
-                            .sigma_px
-                            .hypot(self.lenses[camera].fx_px * s.world_sigma_m / c.z);
-                        all.extend([(p.x - s.pixel.x) / sigma, (p.y - s.pixel.y) / sigma]);
+                        let sigma = sigma_px(&self.lenses[camera], s, c.z);
+                        all.extend([(p.x - s.pixel.x) / sigma.x, (p.y - s.pixel.y) / sigma.y]);
                     }
                     Err(_) => all.extend([REACH; 2]),
                 }

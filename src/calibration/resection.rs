@@ -1,6 +1,6 @@
 //! A camera's pose from its landmarks: all plausible poses, and the click that does not fit, by name.
 
-use nalgebra::{Matrix6, Point3, Vector2, Vector6};
+use nalgebra::{Matrix2, Matrix6, Point3, Vector2, Vector6};
 
 use super::CalibrationError;
 use crate::geometry::{Intrinsics, Normalized, Pixel, Pose, skew};
@@ -23,8 +23,8 @@ pub struct Sighting {
     pub world_sigma_m: f64,
     /// Distorted pixel.
     pub pixel: Pixel,
-    /// Sigma per axis, pixels.
-    pub sigma_px: f64,
+    /// Sigma along x and y, pixels.
+    pub sigma_px: [f64; 2],
 }
 
 /// One pose that explains the landmarks.
@@ -60,7 +60,7 @@ pub fn resect_camera(camera: &CameraSetup) -> Result<Vec<Resection>, Calibration
                 world_m: l.position.world_m,
                 world_sigma_m: l.position.world_sigma_m,
                 pixel: l.pixel,
-                sigma_px: l.sigma_px.max(1e-3),
+                sigma_px: l.sigma_px.map(|sigma| sigma.max(1e-3)),
             };
             (l.name.clone(), seen)
         })
@@ -169,15 +169,18 @@ fn fit_all(
     Ok(fits)
 }
 
-/// Sigma of a sighting in the image: the click and the landmark's own uncertainty.
-fn sigma_px(lens: &Intrinsics, seen: &Sighting, depth_m: f64) -> f64 {
-    seen.sigma_px.hypot(lens.fx_px * seen.world_sigma_m / depth_m)
+/// Sigma of a sighting in the image along x and y: the click and the landmark's own uncertainty.
+pub(super) fn sigma_px(lens: &Intrinsics, seen: &Sighting, depth_m: f64) -> Vector2<f64> {
+    let own_px = lens.fx_px * seen.world_sigma_m / depth_m;
+    seen.sigma_px.map(|sigma| sigma.hypot(own_px)).into()
 }
 
 fn standardised(lens: &Intrinsics, pose: &Pose, seen: &Sighting) -> f64 {
     let camera_m = pose.transform(&seen.world_m);
     match lens.project(&camera_m) {
-        Ok(p) => (p.vector() - seen.pixel.vector()).norm() / sigma_px(lens, seen, camera_m.z),
+        Ok(p) => (p.vector() - seen.pixel.vector())
+            .component_div(&sigma_px(lens, seen, camera_m.z))
+            .norm(),
         Err(_) => f64::INFINITY,
     }
 }
@@ -200,15 +203,15 @@ fn normal_equations(lens: &Intrinsics, seen: &[Sighting], pose: &Pose) -> Option
         let c = pose.transform(&s.world_m);
         let projected = lens.project_with_jacobian(&c).ok()?;
         let residual: Vector2<f64> = projected.pixel.vector() - s.pixel.vector();
-        let weight = sigma_px(lens, s, c.z).powi(-2);
+        let weight = Matrix2::from_diagonal(&sigma_px(lens, s, c.z).map(|sigma| sigma.powi(-2)));
         let by_turn = -projected.by_camera_point * skew(&c);
         let mut j = nalgebra::Matrix2x6::zeros();
         j.fixed_view_mut::<2, 3>(0, 0).copy_from(&by_turn);
         j.fixed_view_mut::<2, 3>(0, 3)
             .copy_from(&projected.by_camera_point);
-        n.matrix += j.transpose() * j * weight;
-        n.gradient += j.transpose() * residual * weight;
-        n.chi2 += residual.norm_squared() * weight;
+        n.matrix += j.transpose() * weight * j;
+        n.gradient += j.transpose() * weight * residual;
+        n.chi2 += residual.dot(&(weight * residual));
         n.sum_px2 += residual.norm_squared();
     }
     Some(n)
@@ -282,7 +285,7 @@ mod tests {
                         world_sigma_m: 0.0,
                     },
                     pixel: Pixel::new(p.x + noise.sample(&mut rng), p.y + noise.sample(&mut rng)),
-                    sigma_px: 0.5,
+                    sigma_px: [0.5; 2],
                 }
             })
             .collect();
@@ -328,6 +331,32 @@ mod tests {
                 assert!(miss < 0.4, "seed {seed} {centre:?}: {miss}°");
             }
         }
+    }
+
+    #[test]
+    fn each_axis_counts_by_its_own_sigma() {
+        let (setup, pose) = camera(CENTRES[0], &MANY[..1], 1);
+        let (lens, mark) = (&setup.intrinsics, &setup.landmarks[0]);
+        let camera_m = pose.transform(&mark.position.world_m);
+        let true_px = lens.project(&camera_m).unwrap();
+        let seen = Sighting {
+            world_m: mark.position.world_m,
+            world_sigma_m: 0.0,
+            pixel: Pixel::new(true_px.x + 0.3, true_px.y - 0.2),
+            sigma_px: [0.1, 0.05],
+        };
+        // 3 and 4 sigmas.
+        assert!((standardised(lens, &pose, &seen) - 5.0).abs() < 1e-9);
+        let normal = normal_equations(lens, &[seen], &pose).unwrap();
+        assert!((normal.chi2 - 25.0).abs() < 1e-9, "{}", normal.chi2);
+        // What the landmark's own place adds: 1790 px · 4 cm over the depth, to both.
+        let unsure = Sighting {
+            world_sigma_m: 0.04,
+            ..seen
+        };
+        let own_px = 71.6 / camera_m.z;
+        let sigma = sigma_px(lens, &unsure, camera_m.z);
+        assert!((sigma.x - own_px.hypot(0.1)).abs() < 1e-12 && (sigma.y - own_px.hypot(0.05)).abs() < 1e-12);
     }
 
     #[test]

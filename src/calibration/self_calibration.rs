@@ -283,7 +283,7 @@ fn resect_at(
             world_m,
             world_sigma_m: 0.0,
             pixel: lens.pixel(*d),
-            sigma_px: 1.0,
+            sigma_px: [1.0; 2],
         })
         .collect();
     let fits = resection_candidates(&world, &directions)?.into_iter();

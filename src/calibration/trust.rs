@@ -97,9 +97,10 @@ fn sigmas_off(calibration: &Calibration, setup: &CameraSetup, landmark: &Landmar
     let Ok(image) = camera.intrinsics.project(&seen) else {
         return Some(f64::INFINITY);
     };
-    let off_px = (image.x - landmark.pixel.x).hypot(image.y - landmark.pixel.y);
+    let off_px = image.vector() - landmark.pixel.vector();
     let ground_px = camera.intrinsics.fx_px * landmark.position.world_sigma_m / seen.z;
-    Some(off_px / landmark.sigma_px.hypot(ground_px))
+    let [x, y] = landmark.sigma_px.map(|sigma| sigma.hypot(ground_px));
+    Some((off_px.x / x).hypot(off_px.y / y))
 }
 
 #[cfg(test)]

@@ -84,7 +84,15 @@ struct LandmarkFile {
     world_m: Option<[f64; 3]>,
     world_sigma_m: Option<f64>,
     pixel_px: toml::Spanned<[f64; 2]>,
-    sigma_px: Option<f64>,
+    sigma_px: Option<ClickSigma>,
+}
+
+/// Of a click: along both axes, or along x and y.
+#[derive(Clone, Copy, Deserialize)]
+#[serde(untagged, expecting = "expected a number, or two: along x and along y")]
+enum ClickSigma {
+    Both(f64),
+    Each([f64; 2]),
 }
 
 #[derive(Deserialize)]
@@ -413,16 +421,22 @@ impl Checker<'_> {
         };
         let [x, y] = *file.pixel_px.get_ref();
         let label = format!("{owner}, landmark `{name}`");
-        let sigma_px = file.sigma_px.unwrap_or(DEFAULT_CLICK_SIGMA_PX);
+        let sigma_px = match file.sigma_px.unwrap_or(ClickSigma::Both(DEFAULT_CLICK_SIGMA_PX)) {
+            ClickSigma::Both(both) => [both; 2],
+            ClickSigma::Each(each) => each,
+        };
         let world_sigma_m = file.world_sigma_m.unwrap_or(0.0);
-        self.within(&label, "sigma_px", sigma_px, 1e-3..=1e3)?;
+        for sigma_px in sigma_px {
+            self.within(&label, "sigma_px", sigma_px, 1e-3..=1e3)?;
+        }
         self.within(&label, "world_sigma_m", world_sigma_m, 0.0..=10.0)?;
         for value in [world_m.x, world_m.y, world_m.z] {
             self.within(&label, "world_m", value, -1e4..=1e4)?;
         }
-        let inside =
-            |v: f64, size: u32| v >= -0.5 - 5.0 * sigma_px && v <= f64::from(size) - 0.5 + 5.0 * sigma_px;
-        if !inside(x, size_px[0]) || !inside(y, size_px[1]) {
+        let inside = |v: f64, size: u32, sigma_px: f64| {
+            v >= -0.5 - 5.0 * sigma_px && v <= f64::from(size) - 0.5 + 5.0 * sigma_px
+        };
+        if !inside(x, size_px[0], sigma_px[0]) || !inside(y, size_px[1], sigma_px[1]) {
             let [w, h] = size_px;
             let reason = format!("{label}: pixel ({x}, {y}) lies outside the {w}×{h} image");
             return Err(self.at(at, reason));

@@ -57,6 +57,17 @@ fn the_contract_s_example_reads() {
 }
 
 #[test]
+fn a_click_has_one_sigma_or_one_along_each_axis() {
+    let sigma_of = |text: &str| {
+        let rig = parse_rig(Path::new("rig.toml"), text).unwrap();
+        rig.cameras[0].landmarks[0].sigma_px
+    };
+    assert_eq!(sigma_of(GOOD), [0.5, 0.5]);
+    let each = GOOD.replace("sigma_px = 0.5", "sigma_px = [0.16, 0.05]");
+    assert_eq!(sigma_of(&each), [0.16, 0.05]);
+}
+
+#[test]
 fn each_mistake_names_its_place() {
     let cases = [
         (
@@ -83,6 +94,16 @@ fn each_mistake_names_its_place() {
             "\"plate_front_left\"",
             "\"plate_frnt_left\"",
             "rig.toml:17: no landmark is called `plate_frnt_left`: did you mean `plate_front_left`?",
+        ),
+        (
+            "sigma_px = 0.5",
+            "sigma_px = [0.5, 0.0]",
+            "camera `first`, landmark `plate_front_left`: `sigma_px = 0` is out of range",
+        ),
+        (
+            "sigma_px = 0.5",
+            "sigma_px = \"half\"",
+            "rig.toml:19: expected a number, or two: along x and along y",
         ),
         (
             "id = \"third\"",

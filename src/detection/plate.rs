@@ -83,8 +83,8 @@ type Information = SMatrix<f64, PARAMETERS, PARAMETERS>;
 pub struct PlateSeen {
     /// Where the middle of its square (0, 0.216, 0) is seen.
     pub middle: Pixel,
-    /// σ per axis, pixels.
-    pub sigma_px: f64,
+    /// σ along x and y, pixels: texture moves the ends of the plate more than its long edges.
+    pub sigma_px: [f64; 2],
     /// From where the pose puts it to there, pixels.
     pub shift_px: Vector2<f64>,
 }
@@ -142,18 +142,19 @@ pub fn seek_plate(still: &Picture, lens: &Intrinsics, pose: &Pose) -> Option<Pla
         }
     }
     let rivals = others.iter().filter(|other| other.cost < AGREE_COST * best.cost);
-    let off_px = |other: &Fit| (other.shift() - best.shift()).norm();
-    let allowed_px = AGREE_PX.max(AGREE_SIGMAS * best.sigma_px);
-    let here = |other: &&Fit| off_px(other) < allowed_px;
+    let off_px = |other: &Fit| other.shift() - best.shift();
+    let allowed_px = AGREE_PX.max(AGREE_SIGMAS * best.sigma_px.max());
+    let here = |other: &&Fit| off_px(other).norm() < allowed_px;
     // What fits as well is as likely.
-    let spread_px = rivals.clone().filter(here).map(off_px).fold(0.0, f64::max);
+    let off_here_px = rivals.clone().filter(here).map(|rival| off_px(rival).abs());
+    let spread_px = off_here_px.fold(Vector2::zeros(), |most, off_px| most.sup(&off_px));
     let agree = rivals.clone().all(|rival| here(&rival)) && others.iter().filter(here).count() >= AGREE_MIN;
-    best.sigma_px = best.sigma_px.hypot(spread_px);
+    best.sigma_px = best.sigma_px.zip_map(&spread_px, f64::hypot);
     tracing::debug!(?best, agree, "home plate");
     let middle = lens.project(&pose.transform(&plate_middle())).ok()?.vector() + best.shift();
     (agree && best.is_plate()).then(|| PlateSeen {
         middle: Pixel::new(middle.x, middle.y),
-        sigma_px: best.sigma_px.max(SIGMA_PX[0]),
+        sigma_px: best.sigma_px.map(|sigma| sigma.max(SIGMA_PX[0])).into(),
         shift_px: best.shift(),
     })
 }
@@ -270,7 +271,7 @@ struct Fit {
     /// Tukey's, over that of pixels that have no say.
     cost: f64,
     unexplained: f64,
-    sigma_px: f64,
+    sigma_px: Vector2<f64>,
     /// Of the pixels on the plate and of those beside it.
     say: [f64; 2],
 }
@@ -282,7 +283,7 @@ impl Fit {
 
     fn is_plate(&self) -> bool {
         self.shift().norm() < SHIFT_MAX_PX
-            && self.sigma_px < SIGMA_PX[1]
+            && self.sigma_px.max() < SIGMA_PX[1]
             && self.values[2] > CONTRAST_MIN.max(CONTRAST_SIGMAS * self.unexplained)
             && self.say.iter().all(|say| *say > SAY_MIN)
     }
@@ -411,7 +412,7 @@ impl Fitting {
             values: *values,
             cost: cost * scale * scale,
             unexplained: scale,
-            sigma_px: f64::INFINITY,
+            sigma_px: Vector2::repeat(f64::INFINITY),
             say: says.map(|[kept, all]| kept / f64::max(all, 1.0)),
         }
     }
@@ -437,7 +438,7 @@ impl Fitting {
             let freedom = (self.pixels.len() - PARAMETERS) as f64;
             let covariance = factor.inverse() * (UNTRUE.powi(2) * normal.squares / freedom);
             fit = Some(Fit {
-                sigma_px: covariance[(0, 0)].max(covariance[(1, 1)]).sqrt(),
+                sigma_px: Vector2::new(covariance[(0, 0)], covariance[(1, 1)]).map(f64::sqrt),
                 ..self.judge(&looks, &values, scale)
             });
             values += change;
@@ -450,7 +451,7 @@ impl Fitting {
                 break;
             }
         }
-        fit.filter(|fit| last_px < STEP_MAX_PX.max(STEP_SIGMAS * fit.sigma_px))
+        fit.filter(|fit| last_px < STEP_MAX_PX.max(STEP_SIGMAS * fit.sigma_px.max()))
     }
 }
 

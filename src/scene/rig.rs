@@ -59,8 +59,8 @@ pub struct Landmark {
     pub position: LandmarkPosition,
     /// Where it was clicked, distorted pixels.
     pub pixel: Pixel,
-    /// Click uncertainty per axis, pixels.
-    pub sigma_px: f64,
+    /// Uncertainty of that place along x and y, pixels.
+    pub sigma_px: [f64; 2],
 }
 
 /// A rectangle of pixels: columns `x_px .. x_px + width_px`, rows `y_px .. y_px + height_px`.

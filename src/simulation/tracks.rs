@@ -237,7 +237,7 @@ fn clicked(scenario: &Scenario, index: usize, camera: &CameraSpec) -> Vec<Landma
                     pixel.x + clicks.sigma_px * error[0],
                     pixel.y + clicks.sigma_px * error[1],
                 ),
-                sigma_px: clicks.sigma_px.max(0.01),
+                sigma_px: [clicks.sigma_px.max(0.01); 2],
             });
         }
     }

@@ -92,9 +92,13 @@ fn rig_text(rig: &Rig) -> String {
         for landmark in &camera.landmarks {
             let _ = writeln!(
                 out,
-                "[[camera.landmark]]\nname = \"{}\"\npixel_px = [{:.4}, {:.4}]\nsigma_px = {:?}",
-                landmark.name, landmark.pixel.x, landmark.pixel.y, landmark.sigma_px
+                "[[camera.landmark]]\nname = \"{}\"\npixel_px = [{:.4}, {:.4}]",
+                landmark.name, landmark.pixel.x, landmark.pixel.y
             );
+            let _ = match landmark.sigma_px {
+                [x, y] if x == y => writeln!(out, "sigma_px = {x:?}"),
+                each => writeln!(out, "sigma_px = {each:?}"),
+            };
             let at = landmark.position.world_m;
             if rig.site.field.landmark(&landmark.name).ok() != Some(at) {
                 let _ = writeln!(out, "world_m = [{:?}, {:?}, {:?}]", at.x, at.y, at.z);

@@ -23,7 +23,8 @@ const LOOSE_SIGMA_S: f64 = 1e3;
 struct View {
     camera: usize,
     pixel: Pixel,
-    sigma_px: f64,
+    /// Along x and y.
+    sigma_px: [f64; 2],
 }
 
 /// One landmark and all its views. Its position error is shared by the views: their residuals are
@@ -139,7 +140,7 @@ impl CameraTerms {
         let view = View {
             camera,
             pixel: mark.pixel,
-            sigma_px: mark.sigma_px.max(1e-3),
+            sigma_px: mark.sigma_px.map(|sigma| sigma.max(1e-3)),
         };
         let at = &mark.position;
         let shared = self
@@ -283,7 +284,8 @@ impl CameraTerms {
                     continue;
                 };
                 let spread = by_world.norm_squared() / 2.0 * group.world_sigma_m.powi(2);
-                let sigmas = residual.norm() / (view.sigma_px.powi(2) + spread).sqrt();
+                let sigma_px = nalgebra::Vector2::from(view.sigma_px).map(|own| own.hypot(spread.sqrt()));
+                let sigmas = residual.component_div(&sigma_px).norm();
                 if sigmas > limit {
                     bad.push(LandmarkMisfit {
                         camera: view.camera,
@@ -323,7 +325,7 @@ impl LandmarkGroup {
         for (v, view) in self.views.iter().enumerate() {
             let seen = self.view_residual(cameras, view);
             for k in 0..2 {
-                covariance[(2 * v + k, 2 * v + k)] = view.sigma_px * view.sigma_px;
+                covariance[(2 * v + k, 2 * v + k)] = view.sigma_px[k].powi(2);
                 if let Some((_, world)) = &seen {
                     by_world.row_mut(2 * v + k).copy_from(&world.row(k));
                 }

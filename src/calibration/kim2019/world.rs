@@ -119,8 +119,8 @@ fn by_landmarks(rig: &Rig, found: &Reconstruction) -> Option<Placed> {
         for (c, l) in &used {
             let seen = pose_of(*c, pose, scale)?.transform(&l.position.world_m);
             let p = rig.cameras[*c].intrinsics.project(&seen).ok()?;
-            let sigma = l.sigma_px.max(1e-3);
-            all.extend([(p.x - l.pixel.x) / sigma, (p.y - l.pixel.y) / sigma]);
+            let [sigma_x, sigma_y] = l.sigma_px.map(|sigma| sigma.max(1e-3));
+            all.extend([(p.x - l.pixel.x) / sigma_x, (p.y - l.pixel.y) / sigma_y]);
         }
         Some(DVector::from_vec(all))
     };
