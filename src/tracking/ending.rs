@@ -59,15 +59,23 @@ pub fn conclude(
     let all = extend(config, core, history);
     let (mut points, mut ball) = judged(config, camera, &all, DEGREE_MAX)?;
     if ball.kind == TrackKind::Rough {
-        // So bent a curve went through the hand and the ball.
-        if let Some((stiff_points, stiff)) = judged(config, camera, &all, DEGREE_MAX - 1)
-            && stiff.kind != TrackKind::Rough
-        {
-            (points, ball) = (stiff_points, stiff);
+        // So bent a curve went through the hand and the ball, or through the arm long before.
+        let stiff = judged(config, camera, &all, DEGREE_MAX - 1);
+        let whole = longest_without_gap(&all).and_then(|all| judged(config, camera, all, DEGREE_MAX));
+        let others = [stiff, whole].into_iter().flatten();
+        if let Some(other) = others.into_iter().find(|(_, ball)| ball.kind != TrackKind::Rough) {
+            (points, ball) = other;
         }
     }
     ball.score = hypothesis.score;
     Some((points, ball))
+}
+
+/// The longest stretch of a path without a long gap, where it has one: what was before the gap may be something else.
+fn longest_without_gap(points: &[Point]) -> Option<&[Point]> {
+    let stretches = points.chunk_by(|a, b| (b.t - a.t).abs() <= STRAGGLER_GAP);
+    let longest = stretches.max_by_key(|stretch| stretch.len())?;
+    (longest.len() < points.len()).then_some(longest)
 }
 
 /// The part of a path that is smooth by curves of at most this degree, and what it looks like.
@@ -331,5 +339,74 @@ fn follow<'a>(
             points.push(*point);
             curve = fitted(points);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Matrix2;
+
+    use super::*;
+    use crate::geometry::Pixel;
+    use crate::scene::Detection;
+    use crate::time::StampedMidpoint;
+
+    /// The candidates of a rendered pitch seen from behind the plate at 120 frames a second: times in frames, pixels. The first
+    /// six are of the arm, the sixth nine frames before the hand; the ball is in the shadow from the 54th to the 60th.
+    const T: [f64; 67] = [
+        1.00, 6.01, 7.01, 10.03, 11.01, 12.02, 21.02, 22.00, 23.00, 23.98, 25.00, 26.00, 27.00, 27.99, 29.01,
+        30.02, 31.00, 32.02, 32.99, 33.99, 35.02, 36.00, 37.00, 38.00, 39.00, 39.98, 40.98, 42.02, 42.98,
+        44.01, 45.01, 46.00, 46.98, 48.03, 49.98, 51.00, 52.00, 52.98, 54.03, 55.01, 56.00, 57.02, 58.03,
+        59.00, 59.98, 62.00, 63.00, 64.01, 65.02, 66.00, 66.98, 67.98, 69.00, 70.01, 71.01, 71.97, 74.01,
+        75.04, 76.00, 77.00, 77.98, 78.99, 80.00, 80.98, 82.00, 83.02, 83.99,
+    ];
+    const X: [f64; 67] = [
+        1085.7, 1067.8, 1062.5, 1049.0, 1048.4, 1047.6, 1028.0, 1024.8, 1023.4, 1020.8, 1019.7, 1018.6,
+        1017.5, 1016.4, 1015.3, 1014.2, 1013.1, 1012.0, 1010.8, 1009.7, 1008.5, 1007.3, 1006.2, 1005.0,
+        1003.8, 1002.6, 1001.3, 1000.1, 998.7, 997.6, 996.3, 995.0, 993.8, 992.6, 990.0, 988.6, 987.3, 986.1,
+        984.7, 983.3, 982.0, 980.5, 979.1, 977.8, 976.3, 973.3, 971.8, 970.4, 968.9, 967.3, 965.8, 964.2,
+        962.7, 961.0, 958.7, 957.0, 953.6, 952.3, 950.2, 948.4, 947.4, 945.7, 943.7, 941.8, 940.0, 938.3,
+        936.4,
+    ];
+    const Y: [f64; 67] = [
+        381.1, 334.3, 325.5, 302.4, 301.6, 297.6, 275.8, 275.1, 276.8, 277.8, 280.9, 284.0, 287.3, 290.7,
+        294.3, 298.0, 301.7, 305.6, 309.7, 314.0, 318.4, 323.1, 328.0, 332.6, 337.6, 342.9, 348.3, 353.9,
+        359.7, 365.7, 372.0, 378.5, 384.8, 390.8, 405.1, 412.2, 419.9, 427.6, 435.6, 443.9, 452.4, 461.2,
+        470.2, 479.5, 489.1, 509.1, 519.7, 530.6, 541.7, 553.3, 565.1, 577.4, 590.0, 603.1, 619.0, 633.0,
+        662.2, 676.5, 691.7, 708.7, 721.9, 739.3, 756.2, 774.3, 792.9, 812.0, 831.7,
+    ];
+
+    fn point(t: f64, x: f64, y: f64) -> Point {
+        // In the shadow the blob is large and dim.
+        let variance_px2 = if (71.0..78.0).contains(&t) { 0.3 } else { 0.02 };
+        Point {
+            detection: Detection {
+                frame: t.round() as u64,
+                stamped: StampedMidpoint::from_seconds_since(0, t / 120.0),
+                centre: Pixel::new(x, y),
+                covariance_px2: Matrix2::identity() * variance_px2,
+                radius_px: 2.0,
+                streak_px: [0.0; 2],
+                strength: 30.0,
+            },
+            t,
+            index: 0,
+        }
+    }
+
+    #[test]
+    fn an_arm_long_before_makes_no_pitch_rough() {
+        let path = T.into_iter().zip(X.into_iter().zip(Y));
+        let points: Vec<Point> = path.map(|(t, (x, y))| point(t, x, y)).collect();
+        let camera = CameraId::new("home").unwrap();
+        let config = TrackerConfig::default();
+        let (_, with_arm) = judged(&config, &camera, &points, DEGREE_MAX).unwrap();
+        assert_eq!(with_arm.kind, TrackKind::Rough, "{:?}", with_arm.shape);
+        let hypothesis = Hypothesis::new(points);
+        let (_, ball) = conclude(&config, &camera, &hypothesis, &VecDeque::new()).unwrap();
+        assert_eq!(ball.kind, TrackKind::Pitch, "{:?}", ball.shape);
+        let frames = ball.track.points.iter().map(|p| p.frame);
+        assert!(frames.min().is_some_and(|first| first >= 21));
+        assert!(ball.track.points.len() >= 55, "{}", ball.track.points.len());
     }
 }
