@@ -6,7 +6,7 @@ use crate::detection::Still;
 use crate::eye::EyeConfig;
 use crate::geometry::Pose;
 use crate::scene::{Calibration, CameraId, CameraSetup, Motion, Rig, WorldFrame};
-use crate::tracking::pitch_way;
+use crate::tracking::{pitch_radii, pitch_way};
 
 /// What is wanted of a camera's frames.
 pub struct Wanted {
@@ -41,6 +41,14 @@ fn eye_of(rig: &Rig, camera: &CameraId, known: Option<&Calibration>) -> EyeConfi
         let agrees = |a: [f64; 2], b: [f64; 2]| a[0] * b[0] + a[1] * b[1] > 0.9;
         eye.tracker.pitch_way =
             first.filter(|way| ways.all(|other| other.is_some_and(|other| agrees(*way, other))));
+        let radii = poses
+            .iter()
+            .map(|pose| pitch_radii(pose, &setup.intrinsics, rig.site.field));
+        // Of several poses any may be right.
+        eye.tracker.ball_radius_px = radii.collect::<Option<Vec<_>>>().and_then(|all| {
+            let of_both = |[a, b]: [f64; 2], [c, d]: [f64; 2]| [f64::min(a, c), f64::max(b, d)];
+            all.into_iter().reduce(of_both)
+        });
     }
     eye
 }

@@ -20,6 +20,8 @@ pub struct TrackerConfig {
     pub path_radii_min: f64,
     /// Unit vector along which pitches go in the picture, where that is known; what goes another way is no pitch.
     pub pitch_way: Option<[f64; 2]>,
+    /// Smallest and largest radius of a ball between the hand and the plate, pixels, where that is known.
+    pub ball_radius_px: Option<[f64; 2]>,
     /// Most hypotheses kept alive.
     pub hypotheses_max: usize,
     /// A break between stamps longer than this ends every track, seconds.
@@ -37,6 +39,7 @@ impl Default for TrackerConfig {
             speed_radii_per_s_min: 300.0,
             path_radii_min: 40.0,
             pitch_way: None,
+            ball_radius_px: None,
             hypotheses_max: 64,
             break_s: 0.25,
         }

@@ -21,4 +21,4 @@ pub use open::OpenPath;
 pub use polish::polish;
 pub use shape::{TrackKind, TrackShape, TrackedBall, vote};
 pub use tracker::{Tracker, TrackerCounters};
-pub use way::pitch_way;
+pub use way::{pitch_radii, pitch_way};

@@ -7,8 +7,14 @@ use super::curve::{Curve, Sample, Stiffness};
 use super::depth::{Depth, DepthCurve};
 use crate::scene::Track;
 
-/// Largest rms distance of a ball's points from a smooth curve, pixels.
+/// Largest rms distance of a ball's points from a smooth curve, pixels and radii: light that changes draws the centroid of a
+/// large ball further.
 const ROUGHNESS_MAX_PX: f64 = 1.5;
+const ROUGHNESS_MAX_RADII: f64 = 0.5;
+/// Nothing thrown is faster, radii per second (50 m/s is 1360, and a ball half in shade measures half its size): rain is.
+const SPEED_MAX_RADII_PER_S: f64 = 2500.0;
+/// Radii are measured no further off than this from what is known of them, as shares of the smallest and the largest.
+const RADIUS_SHARES: [f64; 2] = [0.4, 2.5];
 
 /// Balls fly the same way when the cosine between them is above this, and are of one size within this log ratio.
 const SAME_WAY_COSINE: f64 = 0.5;
@@ -43,6 +49,10 @@ pub enum TrackKind {
     Short,
     /// Too slow for its size.
     Slow,
+    /// Faster than anything that is thrown.
+    Fast,
+    /// Not of a ball's size: a drop of rain, a player.
+    Size,
     /// Not smooth.
     Rough,
     /// One of several that move side by side: parts of a player, not a ball.
@@ -162,8 +172,16 @@ impl TrackShape {
 
     /// The kind this shape alone allows.
     pub fn kind(&self, config: &TrackerConfig) -> TrackKind {
-        if self.roughness_px > ROUGHNESS_MAX_PX {
+        let rough_px = ROUGHNESS_MAX_PX.max(ROUGHNESS_MAX_RADII * self.radius_px);
+        if self.roughness_px > rough_px {
             TrackKind::Rough
+        } else if self.speed_radii_per_s() > SPEED_MAX_RADII_PER_S {
+            TrackKind::Fast
+        } else if config
+            .ball_radius_px
+            .is_some_and(|known| !self.is_as_large(known))
+        {
+            TrackKind::Size
         } else if self.span_s < config.span_min_s || self.path_radii() < config.path_radii_min {
             TrackKind::Short
         } else if self.speed_radii_per_s() < config.speed_radii_per_s_min {
@@ -175,6 +193,12 @@ impl TrackShape {
         } else {
             TrackKind::Pitch
         }
+    }
+
+    /// Whether its radius may be between these.
+    fn is_as_large(&self, [smallest, largest]: [f64; 2]) -> bool {
+        let [least, most] = RADIUS_SHARES;
+        (least * smallest..=most * largest).contains(&self.radius_px)
     }
 
     /// Whether it goes roughly along a unit vector.
@@ -394,6 +418,27 @@ mod tests {
         assert_eq!(path(0.0, 80), TrackKind::Straight);
         assert_eq!(path(150.0, 80), TrackKind::Pitch);
         assert_eq!(path(0.0, 30), TrackKind::Pitch, "too short to tell");
+    }
+
+    #[test]
+    fn rain_is_faster_and_smaller_than_a_ball() {
+        // Drops before a camera behind home, of which one is as large as a ball seems: 6118/1.556 = 3932 radii/s.
+        let known = TrackerConfig {
+            ball_radius_px: Some([2.6, 4.9]),
+            ..TrackerConfig::default()
+        };
+        let unknown = TrackerConfig::default();
+        let kinds = |shape: TrackShape| [shape.kind(&unknown), shape.kind(&known)];
+        assert_eq!(kinds(shape(475.0, 6099.0, 1.556)), [TrackKind::Fast; 2]);
+        // Slower, far away: 0.4 · 2.6 = 1.04 px.
+        let far = kinds(shape(-95.0, 2550.0, 1.03));
+        assert_eq!(far, [TrackKind::Pitch, TrackKind::Size]);
+        assert_eq!(kinds(shape(40.0, 1500.0, 3.5)), [TrackKind::Pitch; 2]);
+        // Half in shade.
+        assert_eq!(kinds(shape(40.0, 1500.0, 1.05)), [TrackKind::Pitch; 2]);
+        // 2.5 · 4.9 = 12.25 px.
+        let large = kinds(shape(40.0, 6000.0, 12.3));
+        assert_eq!(large, [TrackKind::Pitch, TrackKind::Size]);
     }
 
     #[test]

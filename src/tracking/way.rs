@@ -1,9 +1,10 @@
-//! Which way pitches go in a camera's picture, where its pose is known: what flies another way needs no second look.
+//! Which way pitches go in a camera's picture and how large they are, where its pose is known: what flies another way or is
+//! of another size needs no second look.
 
 use nalgebra::{Point3, Vector2};
 
 use crate::geometry::{Intrinsics, Pose};
-use crate::scene::FieldPreset;
+use crate::scene::{BALL_RADIUS_M, FieldPreset};
 
 /// Release points and aims that pitches lie between: x and z, metres.
 const RELEASES_M: [[f64; 2]; 4] = [[-0.8, 1.4], [-0.8, 2.1], [0.8, 1.4], [0.8, 2.1]];
@@ -47,20 +48,50 @@ pub fn pitch_way(pose: &Pose, lens: &Intrinsics, field: FieldPreset) -> Option<[
     agree.then_some([mean.x, mean.y])
 }
 
+/// The smallest and the largest radius of the ball between the hand and the plate, pixels; `None` where that is behind the
+/// camera.
+pub fn pitch_radii(pose: &Pose, lens: &Intrinsics, field: FieldPreset) -> Option<[f64; 2]> {
+    let release_y_m = field.landmark("rubber_front_left").ok()?.y - STRIDE_M;
+    let begins = RELEASES_M.map(|[x, z]| Point3::new(x, release_y_m, z));
+    let ends = AIMS_M.map(|[x, z]| Point3::new(x, PLATE_Y_M, z));
+    // Nearest and farthest are on straight lines, so at their ends.
+    let depths = begins.iter().chain(&ends).map(|place| pose.transform(place).z);
+    let (nearest, farthest) = depths.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), depth| {
+        (low.min(depth), high.max(depth))
+    });
+    let radius_px = |depth_m: f64| lens.fx_px * BALL_RADIUS_M / depth_m;
+    (nearest > 0.0).then(|| [radius_px(farthest), radius_px(nearest)])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    const LENS: Intrinsics = Intrinsics {
+        fx_px: 1790.0,
+        fy_px: 1790.0,
+        cx_px: 1023.5,
+        cy_px: 511.5,
+        distortion: [0.0; 5],
+    };
+
     fn way(from: [f64; 3], to: [f64; 3]) -> Option<[f64; 2]> {
         let pose = Pose::looking_at(from.into(), to.into());
-        let lens = Intrinsics {
-            fx_px: 1790.0,
-            fy_px: 1790.0,
-            cx_px: 1023.5,
-            cy_px: 511.5,
-            distortion: [0.0; 5],
+        pitch_way(&pose, &LENS, FieldPreset::Professional)
+    }
+
+    #[test]
+    fn a_ball_is_as_large_as_its_depth_makes_it() {
+        // 10 m behind the plate's front, looking along the field: y + 10 m off. At the plate 0.43 m, at the hand 18.44 − 1.8 m.
+        let radii_from = |camera_y_m: f64| {
+            let pose = Pose::looking_at(Point3::new(0.0, camera_y_m, 1.5), Point3::new(0.0, 30.0, 1.5));
+            pitch_radii(&pose, &LENS, FieldPreset::Professional)
         };
-        pitch_way(&pose, &lens, FieldPreset::Professional)
+        let [least, most] = radii_from(-10.0).unwrap();
+        let by_hand = |depth_m: f64| 1790.0 * 0.036888 / depth_m;
+        assert!((least - by_hand(26.64)).abs() < 2e-3, "{least}");
+        assert!((most - by_hand(10.43)).abs() < 2e-3, "{most}");
+        assert_eq!(radii_from(5.0), None);
     }
 
     #[test]
