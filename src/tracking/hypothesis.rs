@@ -6,6 +6,9 @@ use super::config::TrackerConfig;
 use super::curve::{Curve, Prediction, Sample, Stiffness};
 use crate::scene::Detection;
 
+/// A path keeps so many of its last points at least, and at most twice as many: a pitch of 1.2 s at 500 frames a second has
+/// fewer, and a sign that turns goes on for hours.
+const POINTS_KEPT: usize = 600;
 /// Points that the prediction looks back on.
 const LOOK_BACK: usize = 10;
 /// Departure of a real path from the local parabola, pixels.
@@ -90,6 +93,9 @@ impl Hypothesis {
 
     /// Adds a point.
     pub fn extend(&mut self, point: Point, gain: f64) {
+        if self.points.len() >= 2 * POINTS_KEPT {
+            self.points.drain(..POINTS_KEPT);
+        }
         self.points.push(point);
         self.score += gain;
         self.refit();
@@ -266,4 +272,43 @@ fn alike(one: &Point, other: &Point) -> bool {
     let radius = |p: &Point| p.detection.radius_px.max(0.5);
     let ratio = radius(one) / radius(other);
     (1.0 / SIZE_RATIO_MAX..SIZE_RATIO_MAX).contains(&ratio)
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Matrix2;
+
+    use super::*;
+    use crate::geometry::Pixel;
+    use crate::time::StampedMidpoint;
+
+    #[test]
+    fn a_path_that_never_ends_keeps_its_last_points() {
+        // A light on a wheel that turns once in 100 frames.
+        let point = |frame: u64| {
+            let turn = 0.02 * std::f64::consts::PI * frame as f64;
+            Point {
+                detection: Detection {
+                    frame,
+                    stamped: StampedMidpoint::from_seconds_since(0, frame as f64 / 175.0),
+                    centre: Pixel::new(300.0 + 90.0 * turn.cos(), 200.0 + 90.0 * turn.sin()),
+                    covariance_px2: Matrix2::identity() * 0.01,
+                    radius_px: 3.0,
+                    streak_px: [0.0; 2],
+                    strength: 20.0,
+                },
+                t: frame as f64,
+                index: 0,
+            }
+        };
+        let mut path = Hypothesis::new((0..3).map(point).collect());
+        for frame in 3..10_000 {
+            path.extend(point(frame), 1.0);
+            assert!(path.points.len() <= 2 * POINTS_KEPT);
+            assert!(path.points.len() >= POINTS_KEPT.min(frame as usize));
+        }
+        assert_eq!(path.last_t(), 9_999.0);
+        let (place, _, _) = path.prediction(10_000.0).unwrap();
+        assert!((place - Vector2::new(390.0, 200.0)).norm() < 1.0, "{place:?}");
+    }
 }
