@@ -333,12 +333,14 @@ impl Tracker {
             .alive
             .iter()
             .any(|h| h.score >= hypothesis.score && hypothesis.shared(&h.points) > SHARED_MAX);
-        if better_alive
-            || self
-                .recent
-                .iter()
-                .any(|points| hypothesis.shared(points) > SHARED_MAX)
-        {
+        // What goes beyond one held back may be more of that ball.
+        let same_begin = |a: &[Point], b: &[Point]| a.first().zip(b.first()).is_some_and(|(a, b)| a.same(b));
+        let is_more = |points: &[Point]| {
+            let held = self.pending.iter().any(|(held, _)| same_begin(held, points));
+            held && points.last().is_some_and(|last| last.t < hypothesis.last_t())
+        };
+        let mut known = self.recent.iter().filter(|points| !is_more(points));
+        if better_alive || known.any(|points| hypothesis.shared(points) > SHARED_MAX) {
             return;
         }
         let Some(ball) = conclude(&self.config, &self.camera, &hypothesis, &self.history) else {
@@ -357,7 +359,6 @@ impl Tracker {
         }) {
             return;
         }
-        let same_begin = |a: &[Point], b: &[Point]| a.first().zip(b.first()).is_some_and(|(a, b)| a.same(b));
         let is_held = |other: &[Point]| held.is_some_and(|(points, _)| same_begin(other, points));
         if self.recent.iter().any(|other| shared(other) && !is_held(other)) {
             return;
@@ -388,9 +389,13 @@ impl Tracker {
             let last = ended.last().filter(|last| now - last.t <= gap);
             last.is_some_and(|last| alive.iter().any(|h| with(&h.points, last)))
         };
-        let (held, free): (Vec<_>, Vec<_>) = std::mem::take(&mut self.pending)
-            .into_iter()
-            .partition(|(points, _)| is_seen(points) || alive.iter().any(|h| goes_on(points, &h.points)));
+        let (held, free): (Vec<_>, Vec<_>) =
+            std::mem::take(&mut self.pending)
+                .into_iter()
+                .partition(|(points, _)| {
+                    let more = |h: &Hypothesis| goes_on(points, &h.points) || goes_through(points, &h.points);
+                    is_seen(points) || alive.iter().any(more)
+                });
         self.pending = held;
         for (_, mut ball) in free {
             ball.track.track = self.next_number;
@@ -424,6 +429,23 @@ fn goes_on(ended: &[Point], path: &[Point]) -> bool {
     let (va, vb) = (velocity(a0, a1), velocity(b0, b1));
     (va - vb).norm() < REST_SPEED_SHARE * va.norm()
         && (a1.position() + va * gap - b0.position()).norm() < 2.0 * va.norm() + REST_OFF_PX
+}
+
+/// Whether a path comes through the end of an ended one and goes on as fast the same way: light that changed drew the centroids
+/// aside, and what was expected went on without them.
+fn goes_through(ended: &[Point], path: &[Point]) -> bool {
+    let tail = ended.get(ended.len().saturating_sub(YOUNG.0)..).unwrap_or(&[]);
+    let Some((from, end)) = tail.first().zip(tail.last()) else {
+        return false;
+    };
+    let at = path.partition_point(|p| p.t < end.t);
+    let rest = path.get(at..).unwrap_or(&[]);
+    let Some((begin, to)) = rest.first().zip(rest.get(YOUNG.0)) else {
+        return false;
+    };
+    let velocity = |from: &Point, to: &Point| (to.position() - from.position()) / (to.t - from.t).max(1.0);
+    let (before, after) = (velocity(from, end), velocity(begin, to));
+    begin.same(end) && (before - after).norm() < REST_SPEED_SHARE * before.norm()
 }
 
 /// Whether two paths of different detections went side by side for most of the shorter one.

@@ -115,3 +115,49 @@ fn a_ball_that_another_path_still_sees_is_not_given_out() {
     tracker.release();
     assert_eq!((tracker.pending.len(), tracker.drain().len()), (0, 1));
 }
+
+/// A ball goes on to frame 59. A hypothesis of it ended with frame 24, and another has come through that end since frame 15.
+#[test]
+fn a_ball_is_held_back_as_long_as_a_path_goes_on_through_its_end() {
+    let config = TrackerConfig::default();
+    let ball_at = |number: u64| Point {
+        detection: frame(number).1.last().copied().unwrap(),
+        t: number as f64,
+        index: 0,
+    };
+    let ball: Vec<Point> = (0..60).map(ball_at).collect();
+    // Whether the ball to frame 24 waits while this path lives, 20 frames later; then what is given out once it has ended.
+    let given_out = |rest: Vec<Point>| {
+        let mut tracker = Tracker::new(CameraId::new("a").unwrap(), config.clone());
+        for point in &ball {
+            let (stamp, _) = detecting(point.detection.frame);
+            tracker.push(stamp, &[point.detection]);
+        }
+        tracker.alive = vec![Hypothesis::new(rest)];
+        tracker.alive[0].score = 50.0;
+        let begun = Hypothesis::new(ball[..25].to_vec());
+        let (_, begin) = conclude(&config, &tracker.camera, &begun, &VecDeque::new()).unwrap();
+        tracker.recent.push(ball[..25].to_vec());
+        tracker.pending.push((ball[..25].to_vec(), begin));
+        tracker.release();
+        let waits = tracker.pending.len();
+        let last = tracker.alive.remove(0);
+        tracker.end(last);
+        tracker.release();
+        let counts: Vec<usize> = tracker.drain().iter().map(|b| b.track.points.len()).collect();
+        (waits, counts)
+    };
+    let (waits, counts) = given_out(ball[15..].to_vec());
+    assert_eq!((waits, counts.len()), (1, 1));
+    assert!(counts[0] >= 58, "{counts:?}");
+    // Into the glove, and down with it.
+    let glove = ball[15..].iter().map(|point| {
+        let mut point = *point;
+        let since = (point.t - 24.0).max(0.0);
+        point.detection.centre.x += 16.0 * since;
+        point.detection.centre.y += 3.0 * since;
+        point
+    });
+    let (waits, _) = given_out(glove.collect());
+    assert_eq!(waits, 0);
+}
