@@ -263,7 +263,7 @@ fn a_video_that_is_cut_off_is_told_of() {
 
     fs::write(&file, &whole[..whole.len() * 3 / 5]).unwrap();
     let output = place.import_with(&arguments);
-    assert_done(&output);
+    assert_eq!(output.status.code(), Some(1));
     let read = frames(&place.session(), "first").len();
     assert!((1..50).contains(&read), "{read} frames");
     let told = String::from_utf8_lossy(&output.stderr);
@@ -271,6 +271,8 @@ fn a_video_that_is_cut_off_is_told_of() {
         "clip.avi: its header tells of 60 frames, {read} could be read: it is damaged, cut off or has gaps"
     );
     assert!(told.contains(&expected), "{told}");
+    let losses = "imported with losses: the file of first ended too early";
+    assert!(told.contains(losses), "{told}");
 
     fs::write(&file, b"").unwrap();
     assert_fails(&place.import_with(&arguments), "camera first: clip.avi: is empty");

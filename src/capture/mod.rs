@@ -41,4 +41,8 @@ pub trait FrameSource: Iterator<Item = Result<Frame, CaptureError>> + Send {
     fn remarks(&self) -> Vec<String> {
         Vec::new()
     }
+    /// Whether it ended before it should have: a remark says where.
+    fn is_cut_off(&self) -> bool {
+        false
+    }
 }

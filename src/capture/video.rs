@@ -161,6 +161,9 @@ impl FrameSource for VideoFile {
     fn frames_expected(&self) -> Option<u64> {
         self.reader.frames_expected()
     }
+    fn is_cut_off(&self) -> bool {
+        self.frames_missing().is_some()
+    }
     fn remarks(&self) -> Vec<String> {
         let place = format!("camera {}: {}", self.camera, self.file.display());
         let cut_off = self.frames_missing().map(|told| {

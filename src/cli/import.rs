@@ -87,6 +87,7 @@ struct Imported {
     camera: CameraId,
     frames: u64,
     bytes: u64,
+    cut_off: bool,
 }
 
 /// Runs the import.
@@ -130,7 +131,17 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
         cameras.push(imported);
     }
     ended?;
-    tell(args, &cameras, begun.elapsed().as_secs_f64())
+    tell(args, &cameras, begun.elapsed().as_secs_f64())?;
+    let cut_off = cameras.iter().filter(|camera| camera.cut_off);
+    let cut_off: Vec<&str> = cut_off.map(|camera| camera.camera.as_str()).collect();
+    if !cut_off.is_empty() {
+        bail!(
+            "{}: imported with losses: the file of {} ended too early (see the warnings)",
+            args.out.display(),
+            cut_off.join(", ")
+        );
+    }
+    Ok(())
 }
 
 fn open_sources(args: &ImportArgs, rig: &Rig) -> anyhow::Result<Vec<Box<dyn FrameSource>>> {
@@ -234,6 +245,7 @@ fn pump(import: Import, bar: &ProgressBar) -> (Imported, anyhow::Result<()>) {
         camera: source.camera().clone(),
         frames: 0,
         bytes: 0,
+        cut_off: false,
     };
     let mut copy = || -> anyhow::Result<()> {
         for frame in source.by_ref() {
@@ -246,6 +258,7 @@ fn pump(import: Import, bar: &ProgressBar) -> (Imported, anyhow::Result<()>) {
         Ok(())
     };
     let copied = copy();
+    imported.cut_off = source.is_cut_off();
     for remark in source.remarks() {
         bar.suspend(|| tell_line!("pitchd: warning: {remark}"));
     }
