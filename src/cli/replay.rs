@@ -175,7 +175,7 @@ fn unsearched(watched: &Watched) -> Option<String> {
     (unsearched as f64 > UNSEARCHED_SHARE_TOLD * frames as f64).then(|| {
         format!(
             "camera {}: {unsearched} of its {frames} frames were not searched: much of the picture changed at once, as when \
-             the camera moves",
+             the camera moves, or in snow",
             watched.camera
         )
     })
