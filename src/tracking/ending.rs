@@ -17,9 +17,6 @@ use crate::scene::{CameraId, Track};
 const LOOK_AHEAD: usize = 10;
 /// Points of the window from which free flight is grown.
 const WINDOW: usize = 10;
-/// Of balls of this radius and smaller, pixels, distances are limited as follows; of larger ones as they are larger: changes of
-/// light draw their centroids further.
-const USUAL_RADIUS_PX: f64 = 3.0;
 /// Rms distance of a smooth window from a parabola, pixels (and 2 % of the speed).
 const SMOOTH_RMS_PX: f64 = 0.6;
 /// Parts of a path in which a stretch may begin to grow, and the share of the path's largest speed that it needs.
@@ -99,9 +96,11 @@ fn judged(
             track: 0,
             points: points.iter().map(point_of).collect(),
         };
-        polish(&track, CENTROID_FLOOR_PX * size_of(smooth))
+        polish(&track, CENTROID_FLOOR_PX)
     };
-    let radius_px = median_radius_px(smooth)?;
+    let mut radii: Vec<f64> = smooth.iter().map(|p| p.detection.radius_px).collect();
+    radii.sort_by(f64::total_cmp);
+    let radius_px = radii.get(radii.len() / 2).copied()?;
     let shape = TrackShape::measure(&polished(smooth)?, radius_px)?;
     let kind = shape.kind(config);
     let track = polished(&points)?;
@@ -117,17 +116,6 @@ fn judged(
             score: 0.0,
         },
     ))
-}
-
-fn median_radius_px(points: &[Point]) -> Option<f64> {
-    let mut radii: Vec<f64> = points.iter().map(|p| p.detection.radius_px).collect();
-    radii.sort_by(f64::total_cmp);
-    radii.get(radii.len() / 2).copied()
-}
-
-/// How much larger than usual a ball is: its median radius in [`USUAL_RADIUS_PX`], 1 at least.
-fn size_of(points: &[Point]) -> f64 {
-    (median_radius_px(points).unwrap_or_default() / USUAL_RADIUS_PX).max(1.0)
 }
 
 /// The longest smooth stretch around a fast smooth window: a path may have begun in the arm and may end in the glove.
@@ -173,13 +161,12 @@ fn smooth_speed(stretch: &[Point]) -> Option<f64> {
         .map(|p| (p.position() - curve.position(p.t)).norm_squared())
         .sum();
     let rms = (squares / stretch.len() as f64).sqrt();
-    (rms < SMOOTH_RMS_PX * size_of(stretch) + 0.02 * speed).then_some(speed)
+    (rms < SMOOTH_RMS_PX + 0.02 * speed).then_some(speed)
 }
 
 /// Adds the points that go on smoothly; stops when several in a row do not. Points a little off (at an edge of shadow a
 /// centroid jumps by the ball's radius) are of the path if it goes on behind them.
 fn grow<'a>(path: &mut Vec<Point>, next: impl Iterator<Item = &'a Point>) {
-    let grow_max_px = GROW_MAX_PX * size_of(path);
     let (mut far_strays, mut near_strays) = (0, Vec::with_capacity(NEAR_STRAYS_MAX));
     for point in next {
         let Some(last) = path.last().copied() else { return };
@@ -202,13 +189,13 @@ fn grow<'a>(path: &mut Vec<Point>, next: impl Iterator<Item = &'a Point>) {
         let variance =
             curve.variance_px2(point.t) + point.sample().variance_px2 + light_variance_px2(&last, point);
         let miss = (point.position() - curve.position(point.t)).norm();
-        if miss < GROW_SIGMAS * variance.sqrt() && miss < grow_max_px {
+        if miss < GROW_SIGMAS * variance.sqrt() && miss < GROW_MAX_PX {
             path.append(&mut near_strays);
             path.push(*point);
             far_strays = 0;
             continue;
         }
-        if miss < grow_max_px {
+        if miss < GROW_MAX_PX {
             near_strays.push(*point);
         } else {
             far_strays += 1;
@@ -225,10 +212,9 @@ fn grow<'a>(path: &mut Vec<Point>, next: impl Iterator<Item = &'a Point>) {
 fn smooth_part(points: &[Point], degree_max: usize) -> Option<Range<usize>> {
     let samples: Vec<Sample> = points.iter().map(Point::sample).collect();
     let depth = Depth::of(&samples);
-    let rms_max_px = TRIM_RMS_PX * size_of(points);
     let is_smooth = |range: &Range<usize>| {
         let stretch = samples.get(range.clone());
-        stretch.is_some_and(|stretch| roughness_px(stretch, &depth, degree_max) < rms_max_px)
+        stretch.is_some_and(|stretch| roughness_px(stretch, &depth, degree_max) < TRIM_RMS_PX)
     };
     let smooth_of = |length: usize, places_max: usize| {
         let spare = points.len() - length;

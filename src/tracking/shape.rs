@@ -7,10 +7,8 @@ use super::curve::{Curve, Sample, Stiffness};
 use super::depth::{Depth, DepthCurve};
 use crate::scene::Track;
 
-/// Largest rms distance of a ball's points from a smooth curve, pixels and radii: light that changes draws the centroid of a
-/// large ball further.
+/// Largest rms distance of a ball's points from a smooth curve, pixels.
 const ROUGHNESS_MAX_PX: f64 = 1.5;
-const ROUGHNESS_MAX_RADII: f64 = 0.5;
 /// Nothing thrown is faster, radii per second (50 m/s is 1360, and a ball half in shade measures half its size): rain is.
 const SPEED_MAX_RADII_PER_S: f64 = 2500.0;
 /// Radii are measured no further off than this from what is known of them, as shares of the smallest and the largest.
@@ -172,8 +170,7 @@ impl TrackShape {
 
     /// The kind this shape alone allows.
     pub fn kind(&self, config: &TrackerConfig) -> TrackKind {
-        let rough_px = ROUGHNESS_MAX_PX.max(ROUGHNESS_MAX_RADII * self.radius_px);
-        if self.roughness_px > rough_px {
+        if self.roughness_px > ROUGHNESS_MAX_PX {
             TrackKind::Rough
         } else if self.speed_radii_per_s() > SPEED_MAX_RADII_PER_S {
             TrackKind::Fast
